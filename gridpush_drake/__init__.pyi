@@ -25,17 +25,19 @@ from .planning.push_constraints import PushConstraints as PushConstraints
 from .planning.support_surface import SupportSurface as SupportSurface
 from .pushes.observed_push import ObservedPush as ObservedPush
 from .pushes.push_log import PushLog as PushLog
-from .station.push_station import MakePushStation as MakePushStation
-from .station.scenario import PushScenario as PushScenario
-from .station.scenario_file import read_scenario as read_scenario
-from .systems.contact_point_controller import ContactPointController as ContactPointController
-from .systems.grid_identifier import GridIdentifier as GridIdentifier
-from .systems.grid_lcp_system import GridLcpSystem as GridLcpSystem
-from .systems.messages import GraspCommand as GraspCommand
-from .systems.messages import PushCommand as PushCommand
-from .systems.planar_pose_sensor import PlanarPoseSensor as PlanarPoseSensor
-from .systems.poke_policy import PokePolicy as PokePolicy
-from .systems.pregrasp_controller import PreGraspController as PreGraspController
-from .systems.push_executor import PushExecutor as PushExecutor
+from .station.schema.scenario import PushScenario as PushScenario
+from .station.schema.scenario_file import read_scenario as read_scenario
+from .station.simulated.push_station import MakePushStation as MakePushStation
+from .systems.base.messages import GraspCommand as GraspCommand
+from .systems.base.messages import PushCommand as PushCommand
+from .systems.control.contact_point_controller import (
+    ContactPointController as ContactPointController,
+)
+from .systems.control.poke_policy import PokePolicy as PokePolicy
+from .systems.control.pregrasp_controller import PreGraspController as PreGraspController
+from .systems.dynamics.grid_lcp_system import GridLcpSystem as GridLcpSystem
+from .systems.execution.push_executor import PushExecutor as PushExecutor
+from .systems.learning.grid_identifier import GridIdentifier as GridIdentifier
+from .systems.sensing.planar_pose_sensor import PlanarPoseSensor as PlanarPoseSensor
 
 __version__: str

@@ -99,7 +99,7 @@ class NoObjectError(PerceptionError):
     """No object is in view."""
 
 
-class SeveralObjectsError(PerceptionError):
+class MultipleObjectsError(PerceptionError):
     """More than one object is in view."""
 
 

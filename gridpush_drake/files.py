@@ -18,14 +18,12 @@ from pathlib import Path
 from typing import BinaryIO
 
 from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.units import BYTES_PER_MEGABYTE
 
-MEGABYTE = 2**20
-"""Bytes in a megabyte."""
-
-GZIP = b"\x1f\x8b"
+GZIP_MAGIC = b"\x1f\x8b"
 """First bytes of a file that gzip compressed."""
 
-MAX_TEXT_SIZE = 64 * MEGABYTE
+MAX_TEXT_SIZE = 64 * BYTES_PER_MEGABYTE
 """Largest size of a text file, bytes: about a million rows of a push log."""
 
 TEMPORARY_PREFIX = ".gridpush-"
@@ -88,7 +86,10 @@ def _find_problem(descriptor: int, max_size: int) -> str | None:
     if not stat.S_ISREG(found.st_mode):
         return "cannot be read: is a pipe or a device, not a file"
     if found.st_size > max_size:
-        return f"has {found.st_size / MEGABYTE:.0f} MB, more than {max_size // MEGABYTE} MB"
+        return (
+            f"has {found.st_size / BYTES_PER_MEGABYTE:.0f} MB, more than "
+            f"{max_size // BYTES_PER_MEGABYTE} MB"
+        )
     try:
         os.pread(descriptor, 1, 0)  # a process's memory can be opened like a file, but not read
     except OSError as error:
@@ -106,7 +107,7 @@ def read_bytes(
         except OSError as cause:
             raise error(f"{path}: cannot be read: {_describe(cause)}; expected {what}") from cause
     if len(data) > max_size:
-        raise error(f"{path}: has more than {max_size // MEGABYTE} MB; expected {what}")
+        raise error(f"{path}: has more than {max_size // BYTES_PER_MEGABYTE} MB; expected {what}")
     return data
 
 
@@ -118,7 +119,7 @@ def read_text(
     The arguments and errors are those of `open_file`.
     """
     content = read_bytes(path, what, error, max_size)
-    if content.startswith(GZIP):
+    if content.startswith(GZIP_MAGIC):
         raise error(f"{path}: is compressed by gzip; expected {what}, unpacked")
     try:
         return content.decode("utf-8-sig")

@@ -11,22 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
 
+from gridpush_drake.units import DEG_PER_RAD, MM_PER_M
+
 Array = NDArray[np.float64]
 """An array of floating-point numbers. Docstrings give its shape and its units."""
 
-MM = 1e3
-"""Millimeters in a meter."""
 
-DEGREES = 180 / np.pi
-"""Degrees in a radian."""
-
-WIDTH = 360
+DRAWING_WIDTH = 360
 """Width of a drawing, pixels."""
 
-MARGIN = 0.04
-"""Room around a drawing, as a share of its longer side."""
+DRAWING_MARGIN = 0.04
+"""Room around a drawing, as a fraction of its longer side."""
 
-COLORS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
+VALUE_COLORS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 """Colors from the smallest to the largest value, red, green and blue from 0 to 255. Between them it
 is interpolated. Their lightness grows evenly, so that they can be told apart in gray, too."""
 
@@ -49,13 +46,13 @@ def describe_range(values: ArrayLike, unit: str = "") -> str:
 def describe_pose(pose: ArrayLike) -> str:
     """Says where something lies: "(0.600, -0.100) m, 28.6°", for a pose (3,) in m and rad."""
     x, y, theta = np.asarray(pose, dtype=np.float64).tolist()
-    return f"({x:.3f}, {y:.3f}) m, {theta * DEGREES:.1f}°"
+    return f"({x:.3f}, {y:.3f}) m, {theta * DEG_PER_RAD:.1f}°"
 
 
 def describe_move(begin: ArrayLike, end: ArrayLike) -> str:
     """Says how far something went between poses (3,): "moved 12.3 mm and turned 4.5°"."""
     dx, dy, turn = (np.asarray(end, dtype=np.float64) - np.asarray(begin)).tolist()
-    return f"moved {np.hypot(dx, dy) * MM:.1f} mm and turned {turn * DEGREES:.1f}°"
+    return f"moved {np.hypot(dx, dy) * MM_PER_M:.1f} mm and turned {turn * DEG_PER_RAD:.1f}°"
 
 
 def count(number: int, noun: str) -> str:
@@ -158,9 +155,9 @@ def choose_colors(values: Array) -> list[tuple[int, int, int]]:
     """Chooses colors for values (n,): red, green, blue from 0 to 255, darkest for the smallest."""
     least = float(values.min())
     spread = float(values.max()) - least
-    share = (values - least) / spread if spread > 0 else np.full(len(values), 0.5)
-    places = np.linspace(0.0, 1.0, len(COLORS))
-    channels = [np.interp(share, places, channel) for channel in zip(*COLORS, strict=True)]
+    fraction = (values - least) / spread if spread > 0 else np.full(len(values), 0.5)
+    places = np.linspace(0.0, 1.0, len(VALUE_COLORS))
+    channels = [np.interp(fraction, places, channel) for channel in zip(*VALUE_COLORS, strict=True)]
     rounded = np.rint(np.column_stack(channels)).astype(int).tolist()
     return [(red, green, blue) for red, green, blue in rounded]
 
@@ -171,10 +168,10 @@ def _fit(
     """Finds the scale, pixels a meter, and the lower and the upper corner (2,) of a drawing, m."""
     lowest = points.min(axis=0)
     highest = points.max(axis=0)
-    room = MARGIN * max(float((highest - lowest).max()), MIN_ROOM)
+    room = DRAWING_MARGIN * max(float((highest - lowest).max()), MIN_ROOM)
     low = lowest - room
     high = highest + room
-    return WIDTH / float((high - low).max()), low, high
+    return DRAWING_WIDTH / float((high - low).max()), low, high
 
 
 def _wrap(content: str, size: Array) -> str:

@@ -21,9 +21,10 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gridpush_drake.errors import GridPushError, ObjectError
-from gridpush_drake.files import MEGABYTE, read_text
+from gridpush_drake.files import read_text
+from gridpush_drake.units import BYTES_PER_MEGABYTE
 
-MAX_YAML_SIZE = 64 * MEGABYTE
+MAX_YAML_SIZE = 64 * BYTES_PER_MEGABYTE
 """Largest size of a YAML file, bytes."""
 
 MAX_NODES = 500_000
@@ -250,7 +251,7 @@ def read_mapping(path: Path, what: str, error: type[GridPushError] = ObjectError
     return data
 
 
-TAG = "!"
+TAG_KEY = "!"
 """Key under which a mapping's tag is kept, where tags are wanted."""
 
 
@@ -264,7 +265,7 @@ def _construct_tagged(loader: _TaggedLoader, tag: str, node: yaml.Node) -> Any:
         raise yaml.constructor.ConstructorError(
             None, None, f"tag {tag} on what is no mapping", node.start_mark
         )
-    return loader.construct_mapping(node, deep=True) | {TAG: tag}
+    return loader.construct_mapping(node, deep=True) | {TAG_KEY: tag}
 
 
 for _prefix in ("!", "tag:yaml.org,2002:opencv-"):

@@ -130,8 +130,8 @@ def find_pose(kept: Array, time: float) -> Array:
         return kept[-1, 1:]
     t0 = kept[after - 1, 0]
     t1 = kept[after, 0]
-    share = (time - t0) / (t1 - t0) if np.isfinite(t0) else 1.0
-    if share == 1.0:  # here the pose before does not matter, which may be NaN
+    fraction = (time - t0) / (t1 - t0) if np.isfinite(t0) else 1.0
+    if fraction == 1.0:  # here the pose before does not matter, which may be NaN
         return kept[after, 1:]
-    interpolated: Array = (1 - share) * kept[after - 1, 1:] + share * kept[after, 1:]
+    interpolated: Array = (1 - fraction) * kept[after - 1, 1:] + fraction * kept[after, 1:]
     return interpolated

@@ -8,7 +8,7 @@ import pytest
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.images.camera import Camera
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 OBJ = GridObject.from_outline([[0, 0], [0.1, 0], [0.1, 0.05], [0, 0.05]], max_cells=8)

@@ -21,9 +21,9 @@ from gridpush_drake.planning.contact.trial import PlannedPush
 from gridpush_drake.planning.goal.push_plan import PushPlan, PushPlanStatus
 from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlan, PreGraspPlanStatus
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.station.pregrasp_task import PreGraspRecord
-from gridpush_drake.station.task import TaskStatus
-from gridpush_drake.systems.messages import PreGraspStatus
+from gridpush_drake.station.tasks.pregrasp_task import PreGraspRecord
+from gridpush_drake.station.tasks.task import TaskStatus
+from gridpush_drake.systems.base.messages import PreGraspStatus
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.made_logs import make_pushed_block
 

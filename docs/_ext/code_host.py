@@ -9,7 +9,7 @@ all pages, and this extension undoes them when the site is built:
 * What only a code host needs stands between the lines `<!-- code host -->` and
   `<!-- end of code host -->`. The site leaves it out.
 * A link to a name or a command leads to a file of the package, which is always there, such as
-  `gridpush_drake/station/task.py`. The site leads to the page that is made from that file.
+  `gridpush_drake/station/tasks/task.py`. The site leads to the page that is made from that file.
 
 `tests/cli/test_code_host.py` checks what a code host shows.
 """

@@ -45,8 +45,8 @@ for _ in range(60):
     log_mass = optax.apply_updates(log_mass, updates)
     losses.append(float(loss))
 
-share = np.exp(log_mass) / np.exp(log_mass).sum()
-miss = np.linalg.norm(share @ obj.p_BC - truth.center_of_mass(obj))
+fraction = np.exp(log_mass) / np.exp(log_mass).sum()
+miss = np.linalg.norm(fraction @ obj.p_BC - truth.center_of_mass(obj))
 print(
     f"Root of the mean squared miss: {losses[0] ** 0.5:.2f} mm before, {losses[-1] ** 0.5:.2f} mm after."
 )

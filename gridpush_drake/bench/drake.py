@@ -1,7 +1,7 @@
 """`gridpush bench drake`: the whole station learning, and the speed of `GridLcpSystem`.
 
 What the station learns is judged by pushes that are held out. Beside it, Drake's plant is compared
-with the grid LCP (`bench.plant`), and single updates of the station's Diagram are timed.
+with the grid LCP (`bench.worlds.plant`), and single updates of the station's Diagram are timed.
 """
 
 from collections.abc import Sequence
@@ -16,45 +16,51 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from gridpush_drake.bench import plant
-from gridpush_drake.bench.campaign import calc_center_error
-from gridpush_drake.bench.jobs import Report, count_steps
-from gridpush_drake.bench.speed_cases import DT, DURATION, RADIUS, make_bench_push
-from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
-from gridpush_drake.bench.table import MM, MS, Table, Value
+from gridpush_drake.bench.speed_cases import (
+    DISC_RADIUS,
+    PAPER_TIME_STEP,
+    PUSH_DURATION,
+    make_bench_push,
+)
+from gridpush_drake.bench.study import Done, JobKind, Study, StudyOptions, option
+from gridpush_drake.bench.worlds import plant
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.jobs.run import Report, count_steps
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.station.identify_task import IdentifyTask
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_camera import RGBD_RATE, CameraKind
-from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
+from gridpush_drake.report.table import Table, Value
+from gridpush_drake.station.campaign.episodes import calc_center_error
+from gridpush_drake.station.schema.camera_config import RGBD_RATE, CameraKind
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.tasks.identify_task import IdentifyTask
+from gridpush_drake.systems.dynamics.grid_lcp_system import GridLcpSystem
+from gridpush_drake.units import MM_PER_M, MS_PER_S
 
-OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
+DEFAULT_OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 """Shipped objects that the station learns."""
 
-SEEDS = 3
+DEFAULT_SEED_COUNT = 3
 """Number of hidden truths and noises of each object."""
 
-IDEAL: CameraKind = "ideal"
+POSE_CAMERA: CameraKind = "ideal"
 """The camera that sees poses, with noise."""
 
-RGBD: CameraKind = "rgbd"
+RGBD_CAMERA: CameraKind = "rgbd"
 """The camera that sees colors and depths, from which poses are found."""
 
 SEEN_BY = {
-    IDEAL: "pose noise 0.5 mm and 0.2°",
-    RGBD: "object and poses from a rendered color and depth camera",
+    POSE_CAMERA: "pose noise 0.5 mm and 0.2°",
+    RGBD_CAMERA: "object and poses from a rendered color and depth camera",
 }
 """How the object is seen by each camera, in words."""
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class DrakeBenchOptions(StudyOptions):
     """What is measured.
 
     Attributes:
@@ -68,23 +74,23 @@ class Options(StudyOptions):
     """
 
     camera: CameraKind = option(
-        IDEAL,
+        POSE_CAMERA,
         "rgbd: only the station, which learns from a color and depth camera, and from ideal poses.",
     )
-    objects: tuple[str, ...] = OBJECTS
-    seeds: int = SEEDS
-    plant_objects: tuple[str, ...] = plant.OBJECTS
-    plant_pushes: int = plant.PUSHES
+    objects: tuple[str, ...] = DEFAULT_OBJECTS
+    seeds: int = DEFAULT_SEED_COUNT
+    plant_objects: tuple[str, ...] = plant.DEFAULT_OBJECTS
+    plant_pushes: int = plant.PUSH_COUNT
     updates: bool = True
 
     @property
     def cameras(self) -> tuple[CameraKind, ...]:
         """The cameras that the station is run with."""
-        return (IDEAL,) if self.camera == IDEAL else (IDEAL, self.camera)
+        return (POSE_CAMERA,) if self.camera == POSE_CAMERA else (POSE_CAMERA, self.camera)
 
 
 @dataclass(frozen=True)
-class Job:
+class StationJob:
     """One experiment in the station.
 
     Attributes:
@@ -96,7 +102,7 @@ class Job:
 
     name: str
     seed: int
-    camera: CameraKind = IDEAL
+    camera: CameraKind = POSE_CAMERA
     rate: float | None = None
 
 
@@ -114,7 +120,7 @@ class StationScore:
             with the true parameters.
         center_of_mass_error: errors of the center of mass, m: of the uniform model, and as learned.
         tracking_error: greatest distance of the finger from its path, m.
-        share: greatest share of a joint's position, velocity or torque limit that was used.
+        fraction: greatest fraction of a joint's position, velocity or torque limit that was used.
         touched: number of pairs of bodies that touched and should not have.
         duration: simulated time, s.
         camera: what saw the object.
@@ -129,14 +135,14 @@ class StationScore:
     error: tuple[float, float, float]
     center_of_mass_error: tuple[float, float]
     tracking_error: float
-    share: float
+    fraction: float
     touched: int
     duration: float
-    camera: CameraKind = IDEAL
+    camera: CameraKind = POSE_CAMERA
     rate: float = 30.0
 
 
-def shorten(options: Options) -> Options:
+def shorten(options: DrakeBenchOptions) -> DrakeBenchOptions:
     """Makes the options of the quick variant: the first objects, one seed, and two pushes."""
     return replace(
         options,
@@ -148,9 +154,9 @@ def shorten(options: Options) -> Options:
     )
 
 
-def measure(options: Options, report: Report | None) -> list[Table]:
+def measure(options: DrakeBenchOptions, report: Report | None) -> list[Table]:
     """Times the LCP system, and single updates of the station."""
-    if options.camera != IDEAL:
+    if options.camera != POSE_CAMERA:
         return []
     tables = [run_lcp_system(report)]
     if options.updates:
@@ -158,16 +164,16 @@ def measure(options: Options, report: Report | None) -> list[Table]:
     return tables
 
 
-def make_jobs(options: Options) -> list[plant.PlantJob | Job]:
+def make_jobs(options: DrakeBenchOptions) -> list[plant.PlantJob | StationJob]:
     """Makes the pushes in Drake's plant, and the experiments in the station."""
     pushes: list[plant.PlantJob] = []
-    if options.camera == IDEAL:
+    if options.camera == POSE_CAMERA:
         pushes = plant.make_jobs(
-            options.plant_objects, options.plant_pushes, plant.BASES, options.seed
+            options.plant_objects, options.plant_pushes, plant.BASE_KINDS, options.seed
         )
     rate = RGBD_RATE if len(options.cameras) > 1 else None
     experiments = [
-        Job(name=name, seed=options.seed + i, camera=camera, rate=rate)
+        StationJob(name=name, seed=options.seed + i, camera=camera, rate=rate)
         for name in options.objects
         for i in range(options.seeds)
         for camera in options.cameras
@@ -175,7 +181,7 @@ def make_jobs(options: Options) -> list[plant.PlantJob | Job]:
     return [*pushes, *experiments]
 
 
-def run_job(job: Job) -> StationScore:
+def run_job(job: StationJob) -> StationScore:
     """Runs one experiment with the default scenario."""
     scenario = PushScenario(object=job.name, seed=job.seed)
     scenario.camera.use(job.camera)
@@ -207,7 +213,7 @@ def run_job(job: Job) -> StationScore:
             calc_center_error(record, learned),
         ),
         tracking_error=limits.tracking_error,
-        share=max(limits.position_share, limits.velocity_share, limits.torque_share),
+        fraction=max(limits.position_fraction, limits.velocity_fraction, limits.torque_share),
         touched=len(limits.touched),
         duration=record.duration,
         camera=job.camera,
@@ -215,10 +221,10 @@ def run_job(job: Job) -> StationScore:
     )
 
 
-def tabulate(options: Options, done: Done) -> list[Table]:
+def tabulate(options: DrakeBenchOptions, done: Done) -> list[Table]:
     """Tabulates the pushes in the plant, and the experiments by camera."""
-    pushes = [score for scores in done.of(plant.TASK) for score in scores]
-    experiments = done.of(STATION)
+    pushes = [score for scores in done.of(plant.PLANT_JOBS) for score in scores]
+    experiments = done.of(STATION_JOBS)
     tables = [plant.make_table(pushes)] if pushes else []
     for camera in options.cameras:
         tables.append(make_table([score for score in experiments if score.camera == camera]))
@@ -237,7 +243,8 @@ def make_table(scores: Sequence[StationScore]) -> Table:
     notes = [
         f"An iiwa with a finger, free base, {SEEN_BY[scores[0].camera]}, at {scores[0].rate:g} Hz; "
         "held-out pushes of 10 cm by the same robot.",
-        f"Greatest share of a joint's limits used: {max(score.share for score in scores):.2f}; "
+        "Greatest fraction of a joint's limits used: "
+        f"{max(score.fraction for score in scores):.2f}; "
         f"forbidden contacts: {touched}.",
     ]
     columns = (
@@ -264,17 +271,17 @@ def _list_figures(score: StationScore) -> list[float]:
     return [
         score.pushes,
         score.held_out,
-        before * MM,
-        after * MM,
-        floor * MM,
+        before * MM_PER_M,
+        after * MM_PER_M,
+        floor * MM_PER_M,
         after / before,
-        uniform * MM,
-        learned * MM,
-        score.tracking_error * MM,
+        uniform * MM_PER_M,
+        learned * MM_PER_M,
+        score.tracking_error * MM_PER_M,
     ]
 
 
-UPDATE = 0.005
+UPDATE_PERIOD = 0.005
 """Simulated time of one update of the Diagram, s: the station's shortest control period."""
 
 UPDATE_MODES = {"in the same update": 0.0, "beside the Diagram, in real time": None}
@@ -299,8 +306,8 @@ def run_updates(report: Report | None = None) -> Table:
         announce(words)
         times, busy, learned = time_updates(delay)
         for when, chosen in (("at rest", times[~busy]), ("meanwhile", times[busy])):
-            middle = (np.median(chosen, axis=0) * MS).tolist()
-            worst = (chosen.max(axis=0) * MS).tolist()
+            middle = (np.median(chosen, axis=0) * MS_PER_S).tolist()
+            worst = (chosen.max(axis=0) * MS_PER_S).tolist()
             rows.append(
                 [f"{words}; {when}", learned, len(chosen), middle[0], worst[0], middle[1], worst[1]]
             )
@@ -314,7 +321,8 @@ def run_updates(report: Report | None = None) -> Table:
         "worst, ms of it",
     )
     notes = [
-        f"An update is {UPDATE * MS:g} ms of the station with its plant, at most {UPDATE_RATE:g} "
+        f"An update is {UPDATE_PERIOD * MS_PER_S:g} ms of the station with its plant, at most "
+        f"{UPDATE_RATE:g} "
         "times real time; meanwhile: while the identifier or the policy is at work. By the clock "
         "on the wall and, apart from what else the computer does, by the processor time of the "
         "thread that the Diagram runs in."
@@ -355,9 +363,9 @@ def time_updates(answer_delay: float | None) -> tuple[Array, NDArray[np.bool_], 
         before = remember()
         begin = perf_counter()
         own = thread_time()
-        task.simulator.AdvanceTo(context.get_time() + UPDATE)
+        task.simulator.AdvanceTo(context.get_time() + UPDATE_PERIOD)
         times.append((perf_counter() - begin, thread_time() - own))
-        sleep(max(0.0, UPDATE / UPDATE_RATE - times[-1][0]))
+        sleep(max(0.0, UPDATE_PERIOD / UPDATE_RATE - times[-1][0]))
         after = remember()
         # A learner that answers within the update has no request before or after it.
         answered = (
@@ -388,10 +396,17 @@ def run_lcp_system(report: Report | None = None) -> Table:
             times = np.sort(_time_pushes(obj, regime))
             median = float(np.median(times))
             rows.append(
-                [f"{name}, {regime}", obj.n, median * MS, float(times[0]) * MS, DURATION / median]
+                [
+                    f"{name}, {regime}",
+                    obj.n,
+                    median * MS_PER_S,
+                    float(times[0]) * MS_PER_S,
+                    PUSH_DURATION / median,
+                ]
             )
     notes = [
-        f"A push of {DURATION:g} s in steps of {DT * MS:g} ms, {LCP_RUNS} runs, with Drake's "
+        f"A push of {PUSH_DURATION:g} s in steps of {PAPER_TIME_STEP * MS_PER_S:g} ms, {LCP_RUNS} "
+        "runs, with Drake's "
         "Simulator and logging."
     ]
     columns = ("object, regime", "cells", "median, ms", "least, ms", "times real time")
@@ -403,7 +418,9 @@ def _time_pushes(obj: GridObject, regime: Regime) -> list[float]:
     push = make_bench_push(obj)
     builder = DiagramBuilder()
     lcp = builder.AddSystem(
-        GridLcpSystem(Model(obj, CellParameters.random(obj, seed=0)), DT, regime, RADIUS)
+        GridLcpSystem(
+            Model(obj, CellParameters.random(obj, seed=0)), PAPER_TIME_STEP, regime, DISC_RADIUS
+        )
     )
     states = np.column_stack([push.xy, np.tile(push.velocity, (len(push.xy), 1))])
     source = builder.AddSystem(
@@ -416,13 +433,13 @@ def _time_pushes(obj: GridObject, regime: Regime) -> list[float]:
         simulator = Simulator(diagram)
         simulator.Initialize()
         begin = perf_counter()
-        simulator.AdvanceTo(DURATION)
+        simulator.AdvanceTo(PUSH_DURATION)
         times.append(perf_counter() - begin)
     return times[1:]
 
 
-STATION = Task(
-    job=Job,
+STATION_JOBS = JobKind(
+    job=StationJob,
     run=run_job,
     describe=lambda job: f"{job.name}, seed {job.seed}, {job.camera} camera",
 )
@@ -432,11 +449,11 @@ STUDY = Study(
     name="drake",
     help="Compare Drake's plant with the grid LCP, time the LCP system, and let the whole "
     "station learn.",
-    options=Options,
+    options=DrakeBenchOptions,
     shorten=shorten,
     measure=measure,
     make_jobs=make_jobs,
-    tasks=(plant.TASK, STATION),
+    tasks=(plant.PLANT_JOBS, STATION_JOBS),
     tabulate=tabulate,
 )
 """`gridpush bench drake`."""

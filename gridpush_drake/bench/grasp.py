@@ -1,39 +1,40 @@
 """`gridpush bench grasp`: the whole story in the station.
 
 Objects are poked, slid to the table's edge, grasped, lifted and held. The runs are episodes of a
-campaign (`bench.campaign`) with the shipped scenario.
+campaign (`station.campaign.episodes`) with the shipped scenario.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from gridpush_drake.bench.campaign import (
-    DROPPED,
-    GAVE_UP,
-    NOT_LIFTED,
-    Episode,
-    EpisodeJob,
-    run_episode,
-)
-from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
-from gridpush_drake.bench.table import MM, Table, by_object, calc_mean, count_of, mean_of
+from gridpush_drake.bench.study import OBJECTS_OPTION, Done, JobKind, Study, StudyOptions, option
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.station.scenario_file import format_scenario, read_scenario
-from gridpush_drake.station.task import TaskStatus
+from gridpush_drake.report.table import Table, by_object, calc_mean, count_of, mean_of
+from gridpush_drake.station.campaign.episodes import (
+    DROPPED_OUTCOME,
+    GAVE_UP,
+    NOT_LIFTED,
+    EpisodeJob,
+    EpisodeOutcome,
+    run_episode,
+)
+from gridpush_drake.station.schema.scenario_file import format_scenario, read_scenario
+from gridpush_drake.station.tasks.task import TaskStatus
+from gridpush_drake.units import MM_PER_M
 
-NAMES = ("claw_hammer", "combination_wrench", "spray_bottle")
+DEFAULT_OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 """Shipped objects that are grasped by default."""
 
-SEEDS = 3
+DEFAULT_SEED_COUNT = 3
 """Number of hidden truths and noises of each object by default."""
 
-SCENARIO = "grasp"
+SCENARIO_NAME = "grasp"
 """Name of the shipped scenario of the episodes."""
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class GraspBenchOptions(StudyOptions):
     """What is measured.
 
     Attributes:
@@ -41,21 +42,21 @@ class Options(StudyOptions):
         seeds: number of hidden truths and noises of each object; the first one has the seed `seed`.
     """
 
-    objects: tuple[str, ...] | None = option(None, **OBJECTS)
-    seeds: int = option(SEEDS, "Hidden truths and noises of each object.", least=1)
+    objects: tuple[str, ...] | None = option(None, **OBJECTS_OPTION)
+    seeds: int = option(DEFAULT_SEED_COUNT, "Hidden truths and noises of each object.", least=1)
 
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the objects."""
-        return NAMES if self.objects is None else self.objects
+        return DEFAULT_OBJECTS if self.objects is None else self.objects
 
 
-def shorten(options: Options) -> Options:
+def shorten(options: GraspBenchOptions) -> GraspBenchOptions:
     """Makes the options of the quick variant: the first object with the first seed."""
     return replace(options, objects=options.names[:1], seeds=min(options.seeds, 1))
 
 
-def make_jobs(options: Options) -> list[EpisodeJob]:
+def make_jobs(options: GraspBenchOptions) -> list[EpisodeJob]:
     """Makes an episode of each object and seed.
 
     Raises:
@@ -68,7 +69,7 @@ def make_jobs(options: Options) -> list[EpisodeJob]:
         raise GridPushError("seeds: none; expected at least one")
     for name in options.names:
         find_shipped_object(name)
-    scenario = format_scenario(read_scenario(SCENARIO))
+    scenario = format_scenario(read_scenario(SCENARIO_NAME))
     return [
         EpisodeJob(object=name, seed=options.seed + i, scenario=scenario)
         for name in options.names
@@ -76,26 +77,26 @@ def make_jobs(options: Options) -> list[EpisodeJob]:
     ]
 
 
-def tabulate(options: Options, done: Done) -> list[Table]:
+def tabulate(options: GraspBenchOptions, done: Done) -> list[Table]:
     """Tabulates the episodes by object."""
-    return [tabulate_episodes(done.of(TASK), options.names)]
+    return [tabulate_episodes(done.of(EPISODE_JOBS), options.names)]
 
 
-def tabulate_episodes(episodes: Sequence[Episode], objects: Sequence[str]) -> Table:
+def tabulate_episodes(episodes: Sequence[EpisodeOutcome], objects: Sequence[str]) -> Table:
     """Makes a row for each object, one of all, and a note for each run that did not end well."""
     held = str(TaskStatus.HELD)
     columns = {
         "runs": len,
         "held": count_of("outcome", held),
-        "dropped": count_of("outcome", DROPPED),
+        "dropped": count_of("outcome", DROPPED_OUTCOME),
         "not lifted": count_of("outcome", NOT_LIFTED),
         "given up": count_of("outcome", GAVE_UP),
         "pokes": mean_of("pokes"),
         "slides": mean_of("slides"),
         "raised, mm": lambda runs: (
-            MM * calc_mean([run.raised for run in runs if run.outcome == held])
+            MM_PER_M * calc_mean([run.raised for run in runs if run.outcome == held])
         ),
-        "CoM error, mm": mean_of("center_of_mass_error", MM),
+        "CoM error, mm": mean_of("center_of_mass_error", MM_PER_M),
         "simulated, s": mean_of("duration"),
         "wall, s": mean_of("wall"),
     }
@@ -116,16 +117,16 @@ def tabulate_episodes(episodes: Sequence[Episode], objects: Sequence[str]) -> Ta
     return Table.of(title, ("object",), by_object(episodes, objects, key="object"), columns, notes)
 
 
-TASK = Task(job=EpisodeJob, run=run_episode, describe=EpisodeJob.describe)
+EPISODE_JOBS = JobKind(job=EpisodeJob, run=run_episode, describe=EpisodeJob.describe)
 """What is done with an episode."""
 
 STUDY = Study(
     name="grasp",
     help="Let the whole station poke objects, slide them to the table's edge, grasp and lift them.",
-    options=Options,
+    options=GraspBenchOptions,
     shorten=shorten,
     make_jobs=make_jobs,
-    tasks=(TASK,),
+    tasks=(EPISODE_JOBS,),
     tabulate=tabulate,
 )
 """`gridpush bench grasp`."""

@@ -16,23 +16,37 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from gridpush_drake.bench.jobs import check_known
-from gridpush_drake.bench.protocol import (
-    DURATION,
+from gridpush_drake.bench.data.protocol import (
     FINGER_RADIUS,
     MASS_SETS,
     OBSERVED_EVERY,
-    SPEED,
+    PUSH_DURATION,
+    PUSH_SPEED,
     SUPPORT_FRICTION,
-    Case,
     Protocol,
+    ProtocolCase,
     make_case,
     make_protocol,
 )
-from gridpush_drake.bench.study import MASKS, OBJECTS, Done, Study, StudyOptions, Task, option
-from gridpush_drake.bench.table import (
-    CONFIDENCE,
-    MM,
+from gridpush_drake.bench.study import (
+    MASKS_OPTION,
+    OBJECTS_OPTION,
+    Done,
+    JobKind,
+    Study,
+    StudyOptions,
+    option,
+)
+from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.extras import import_extra
+from gridpush_drake.identification.learning import METHOD_NAMES, identify
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.jobs.run import check_known
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.report.table import (
+    INTERVAL_CONFIDENCE,
     Column,
     Interval,
     Mean,
@@ -41,18 +55,12 @@ from gridpush_drake.bench.table import (
     check_figure,
     write_panels,
 )
-from gridpush_drake.dynamics.physics import Physics
-from gridpush_drake.errors import GridPushError
-from gridpush_drake.extras import import_extra
-from gridpush_drake.identification.learning import METHODS, identify
-from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.prediction import calc_mean_cell_error
-from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.units import MM_PER_M
 
-UNIFORM = "uniform prior"
+UNIFORM_PRIOR = "uniform prior"
 """Name of the model of which nothing was learned."""
 
-DEFAULT = "default"
+DEFAULT_METHOD = "default"
 """Name of the default method of `identify`."""
 
 PAPER_MM = 15.3
@@ -64,17 +72,17 @@ TRUTH_PHYSICS = Physics(regime="inertial")
 TRAINING_PUSHES = 5
 """Number of pushes that all methods learn from."""
 
-BUDGET = 1500
+DEFAULT_BUDGET = 1500
 """Default of the greatest number of simulated pushes of a search. The default method decides
 itself, and takes about two thirds of it."""
 
-BUDGET_SHARES = (1 / 60, 1 / 30, 1 / 15, 1 / 6, 1 / 3, 1.0)
-"""Shares of the budget at which the curve is measured, each by a run of its own."""
+BUDGET_FRACTIONS = (1 / 60, 1 / 30, 1 / 15, 1 / 6, 1 / 3, 1.0)
+"""Fractions of the budget at which the curve is measured, each by a run of its own."""
 
 QUICK_MASS_SETS = 2
 """Number of mass sets of each object in the quick variant."""
 
-COLUMNS = 3
+PANEL_COLUMNS = 3
 """Number of columns of the figure's panels."""
 
 ALL_OBJECTS = "all objects"
@@ -82,14 +90,14 @@ ALL_OBJECTS = "all objects"
 
 
 @dataclass(frozen=True)
-class Score:
+class PaperScore:
     """How a method did on one object with one mass set and its split.
 
     Attributes:
         name: name of the object.
         mass_set: number of the mass set and of the split.
         training: number of training pushes.
-        method: the method, or UNIFORM.
+        method: the method, or UNIFORM_PRIOR.
         budget: greatest number of simulated pushes that it might spend.
         simulations: number of simulated pushes that it spent.
         error: mean final cell error of the test pushes, m.
@@ -104,7 +112,7 @@ class Score:
     error: float
 
 
-def summarize(scores: Sequence[Score]) -> Interval:
+def summarize(scores: Sequence[PaperScore]) -> Interval:
     """Calculates the mean error, m, and its interval.
 
     The mean is of each mass set over the objects, then over the mass sets; the interval is over
@@ -116,7 +124,7 @@ def summarize(scores: Sequence[Score]) -> Interval:
     )
 
 
-def select(scores: Sequence[Score], **wanted: object) -> list[Score]:
+def select(scores: Sequence[PaperScore], **wanted: object) -> list[PaperScore]:
     """Selects the scores whose attributes are as given."""
     return [
         score
@@ -126,7 +134,7 @@ def select(scores: Sequence[Score], **wanted: object) -> list[Score]:
 
 
 def tabulate_methods(
-    scores: Sequence[Score],
+    scores: Sequence[PaperScore],
     names: Sequence[str],
     methods: Sequence[str],
     training: int,
@@ -145,7 +153,8 @@ def tabulate_methods(
     notes = [
         *_notes(scores),
         f"Truth: our inertial simulation, hidden masses by label, friction {SUPPORT_FRICTION:g}, "
-        f"ten pushes at {SPEED:g} m/s for {DURATION:g} s by a disc of {FINGER_RADIUS * 100:g} cm "
+        f"ten pushes at {PUSH_SPEED:g} m/s for {PUSH_DURATION:g} s by a disc of "
+        f"{FINGER_RADIUS * 100:g} cm "
         f"radius in place of the paper's 3 cm square finger, pose seen every {OBSERVED_EVERY:g} s. "
         "The identifier sees neither labels nor the total mass.",
     ]
@@ -153,7 +162,7 @@ def tabulate_methods(
 
 
 def tabulate_training(
-    scores: Sequence[Score], names: Sequence[str], method: str, budget: int
+    scores: Sequence[PaperScore], names: Sequence[str], method: str, budget: int
 ) -> Table:
     """Tabulates the errors of one method by number of training pushes."""
     counts = sorted({score.training for score in scores})
@@ -161,19 +170,19 @@ def tabulate_training(
         ((count,), select(scores, method=method, training=count, budget=budget)) for count in counts
     ]
 
-    def average_before(chosen: Sequence[Score]) -> Mean | None:
-        return _average(scores, method=UNIFORM, training=chosen[0].training, budget=budget)
+    def average_before(chosen: Sequence[PaperScore]) -> Mean | None:
+        return _average(scores, method=UNIFORM_PRIOR, training=chosen[0].training, budget=budget)
 
     columns = {
         **_make_error_columns(names),
-        f"all, {UNIFORM}": average_before,
+        f"all, {UNIFORM_PRIOR}": average_before,
         "simulations": mean_simulations,
     }
     title = f"Mean test cell error, mm, of the {method} method by training pushes"
     return Table.of(title, ("training pushes",), groups, columns, _notes(scores))
 
 
-def tabulate_budgets(scores: Sequence[Score], methods: Sequence[str], training: int) -> Table:
+def tabulate_budgets(scores: Sequence[PaperScore], methods: Sequence[str], training: int) -> Table:
     """Tabulates the errors over all objects by method and number of simulations."""
     groups = [((method,), select(scores, method=method, training=training)) for method in methods]
     budgets = sorted({score.budget for score in select(scores, training=training)})
@@ -188,31 +197,32 @@ def _make_error_columns(names: Sequence[str]) -> dict[str, Column]:
     return {**{name: partial(_average, name=name) for name in names}, "all": _average}
 
 
-def mean_simulations(scores: Sequence[Score]) -> int:
+def mean_simulations(scores: Sequence[PaperScore]) -> int:
     """Calculates the mean number of simulated pushes."""
     return round(float(np.mean([score.simulations for score in scores])))
 
 
-def _average(scores: Sequence[Score], **wanted: object) -> Mean | None:
+def _average(scores: Sequence[PaperScore], **wanted: object) -> Mean | None:
     """Calculates the mean error of some scores, mm; None where there are none."""
     chosen = select(scores, **wanted)
     if not chosen:
         return None
-    mean, low, high = (MM * value for value in summarize(chosen))
+    mean, low, high = (MM_PER_M * value for value in summarize(chosen))
     return Mean(mean) if np.isnan(low) else Mean(mean, low, high)
 
 
-def _notes(scores: Sequence[Score]) -> list[str]:
+def _notes(scores: Sequence[PaperScore]) -> list[str]:
     sets = len({score.mass_set for score in scores})
     return [
-        f"Mean over {sets} mass sets, each with its own split; in brackets its {CONFIDENCE:.0%} "
+        f"Mean over {sets} mass sets, each with its own split; in brackets its "
+        f"{INTERVAL_CONFIDENCE:.0%} "
         "bootstrap interval.",
         f"The paper reports {PAPER_MM:g} mm in simulation.",
     ]
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class PaperBenchOptions(StudyOptions):
     """What is measured.
 
     Attributes:
@@ -225,13 +235,13 @@ class Options(StudyOptions):
         figure: file of a figure of the error against the number of simulations; None for none.
     """
 
-    data: Path | None = option(None, **MASKS)
-    objects: tuple[str, ...] | None = option(None, **OBJECTS)
+    data: Path | None = option(None, **MASKS_OPTION)
+    objects: tuple[str, ...] | None = option(None, **OBJECTS_OPTION)
     sets: int = option(MASS_SETS, "Mass sets of each object.", least=1)
     methods: tuple[str, ...] | None = option(
         None, "A method; may be repeated.", name="--method", metavar="NAME", shown="all"
     )
-    budget: int = option(BUDGET, "Most simulated pushes of an identification.", least=1)
+    budget: int = option(DEFAULT_BUDGET, "Most simulated pushes of an identification.", least=1)
     figure: Path | None = option(
         None,
         "Also draw the error against the number of simulations.",
@@ -243,7 +253,7 @@ class Options(StudyOptions):
     @property
     def chosen_methods(self) -> tuple[str, ...]:
         """The methods that are measured."""
-        return tuple(METHODS) if self.methods is None else self.methods
+        return tuple(METHOD_NAMES) if self.methods is None else self.methods
 
     @property
     def folder(self) -> Path | None:
@@ -257,7 +267,7 @@ class Options(StudyOptions):
 
 
 @dataclass(frozen=True)
-class Job:
+class PaperJob:
     """One object with one mass set and its split, learned from by some methods at some budgets.
 
     Attributes:
@@ -279,12 +289,12 @@ class Job:
     seed: int
 
 
-def shorten(options: Options) -> Options:
+def shorten(options: PaperBenchOptions) -> PaperBenchOptions:
     """Makes the options of the quick variant."""
     return replace(options, sets=min(options.sets, QUICK_MASS_SETS))
 
 
-def make_jobs(options: Options) -> list[Job]:
+def make_jobs(options: PaperBenchOptions) -> list[PaperJob]:
     """Makes the jobs of each mass set and object.
 
     All methods learn from TRAINING_PUSHES pushes. The default method learns from every other number
@@ -304,7 +314,7 @@ def make_jobs(options: Options) -> list[Job]:
     jobs = []
     for mass_set in range(options.sets):
         for name in names:
-            job = Job(
+            job = PaperJob(
                 data=options.folder,
                 name=name,
                 mass_set=mass_set,
@@ -314,27 +324,29 @@ def make_jobs(options: Options) -> list[Job]:
                 seed=options.seed,
             )
             jobs.append(job)
-            if DEFAULT in options.chosen_methods:
+            if DEFAULT_METHOD in options.chosen_methods:
                 jobs += [
-                    replace(job, training=count, methods=(DEFAULT,), budgets=options.budgets[-1:])
+                    replace(
+                        job, training=count, methods=(DEFAULT_METHOD,), budgets=options.budgets[-1:]
+                    )
                     for count in others
                 ]
     return jobs
 
 
-def _list_names(options: Options, protocol: Protocol) -> list[str]:
+def _list_names(options: PaperBenchOptions, protocol: Protocol) -> list[str]:
     """Returns the names of the objects."""
     return list(protocol.masses if options.objects is None else options.objects)
 
 
-def tabulate(options: Options, done: Done) -> list[Table]:
+def tabulate(options: PaperBenchOptions, done: Done) -> list[Table]:
     """Tabulates the errors by method and object, and by training pushes; draws the figure."""
-    scores = [score for scores in done.of(TASK) for score in scores]
+    scores = [score for scores in done.of(LEARNING_JOBS) for score in scores]
     names = _list_names(options, make_protocol(options.folder, options.seed))
-    methods = (UNIFORM, *options.chosen_methods)
+    methods = (UNIFORM_PRIOR, *options.chosen_methods)
     tables = [tabulate_methods(scores, names, methods, TRAINING_PUSHES, options.budget)]
-    if DEFAULT in methods:
-        tables.append(tabulate_training(scores, names, DEFAULT, options.budget))
+    if DEFAULT_METHOD in methods:
+        tables.append(tabulate_training(scores, names, DEFAULT_METHOD, options.budget))
     if options.figure is not None:
         tables.append(tabulate_budgets(scores, methods, TRAINING_PUSHES))
         write_figure(options.figure, scores, names, methods, TRAINING_PUSHES, options.force)
@@ -343,10 +355,12 @@ def tabulate(options: Options, done: Done) -> list[Table]:
 
 def choose_budgets(budget: int) -> tuple[int, ...]:
     """Chooses the budgets at which a curve is measured, the last one `budget`."""
-    return tuple(sorted({max(TRAINING_PUSHES, round(budget * share)) for share in BUDGET_SHARES}))
+    return tuple(
+        sorted({max(TRAINING_PUSHES, round(budget * fraction)) for fraction in BUDGET_FRACTIONS})
+    )
 
 
-def run_job(job: Job) -> list[Score]:
+def run_job(job: PaperJob) -> list[PaperScore]:
     """Learns one case by each method at each budget, and predicts its test pushes.
 
     The default method decides itself how much it spends, so that it learns only once.
@@ -359,9 +373,9 @@ def run_job(job: Job) -> list[Score]:
 
     def score(
         method: str, budget: int, simulations: int, params: CellParameters, physics: Physics
-    ) -> Score:
+    ) -> PaperScore:
         error = calc_mean_cell_error(Model(case.obj, params, physics), test)
-        return Score(
+        return PaperScore(
             name=job.name,
             mass_set=job.mass_set,
             training=job.training,
@@ -373,9 +387,11 @@ def run_job(job: Job) -> list[Score]:
 
     scores = []
     for budget in job.budgets:
-        scores.append(score(UNIFORM, budget, 0, CellParameters.uniform(case.obj), TRUTH_PHYSICS))
+        scores.append(
+            score(UNIFORM_PRIOR, budget, 0, CellParameters.uniform(case.obj), TRUTH_PHYSICS)
+        )
         for method in job.methods:
-            if method == DEFAULT and budget != job.budgets[-1]:
+            if method == DEFAULT_METHOD and budget != job.budgets[-1]:
                 continue
             found = identify(Model(case.obj), train, method=method, seed=job.seed, budget=budget)
             scores.append(score(method, budget, found.simulations, found.params, found.physics))
@@ -386,7 +402,7 @@ def _check(
     protocol: Protocol, names: Sequence[str], methods: Sequence[str], budget: int, sets: int
 ) -> None:
     check_known("objects", names, tuple(protocol.masses))
-    check_known("methods", methods, METHODS)
+    check_known("methods", methods, METHOD_NAMES)
     if "cma_es" in methods:
         # That it is missing is said now, and not in a job that runs after an hour of others.
         import_extra("cma", "baselines")
@@ -402,13 +418,13 @@ def _check(
 
 
 @lru_cache(maxsize=1)
-def _make_case(data: Path | None, seed: int, name: str, mass_set: int) -> Case:
+def _make_case(data: Path | None, seed: int, name: str, mass_set: int) -> ProtocolCase:
     return make_case(make_protocol(data, seed), name, mass_set)
 
 
 def write_figure(
     path: Path | str,
-    scores: Sequence[Score],
+    scores: Sequence[PaperScore],
     names: Sequence[str],
     methods: Sequence[str],
     training: int,
@@ -430,10 +446,10 @@ def write_figure(
         draw_panel(axis, select(scores, training=training, **of_panel), methods)
 
     labels = ("simulated pushes", "mean test cell error, mm")
-    write_panels(path, [*names, ALL_OBJECTS], COLUMNS, labels, draw, force)
+    write_panels(path, [*names, ALL_OBJECTS], PANEL_COLUMNS, labels, draw, force)
 
 
-def draw_panel(axis: Axes, scores: Sequence[Score], methods: Sequence[str]) -> None:
+def draw_panel(axis: Axes, scores: Sequence[PaperScore], methods: Sequence[str]) -> None:
     """Draws a line for each method over the pushes that it simulated, with its interval as a band.
 
     A method that ran at one budget only is a point.
@@ -443,12 +459,12 @@ def draw_panel(axis: Axes, scores: Sequence[Score], methods: Sequence[str]) -> N
         budgets = sorted({score.budget for score in chosen})
         spent = [mean_simulations(select(chosen, budget=budget)) for budget in budgets]
         style: dict[str, Any] = {"color": f"C{i - 1}", "marker": "o"}
-        if method == UNIFORM:
+        if method == UNIFORM_PRIOR:
             # it simulates nothing, and is drawn across the whole panel
             spent = budgets
             style = {"color": "0.4", "linestyle": "--"}
         mean, low, high = (
-            MM * np.array([summarize(select(chosen, budget=budget)) for budget in budgets]).T
+            MM_PER_M * np.array([summarize(select(chosen, budget=budget)) for budget in budgets]).T
         )
         axis.plot(
             spent,
@@ -468,8 +484,8 @@ def draw_panel(axis: Axes, scores: Sequence[Score], methods: Sequence[str]) -> N
     axis.grid(alpha=0.3)
 
 
-TASK = Task(
-    job=Job,
+LEARNING_JOBS = JobKind(
+    job=PaperJob,
     run=run_job,
     describe=lambda job: f"{job.name}, mass set {job.mass_set}, {job.training} training pushes",
 )
@@ -478,10 +494,10 @@ TASK = Task(
 STUDY = Study(
     name="paper",
     help="Repeat the paper's simulated identification, every method beside the others.",
-    options=Options,
+    options=PaperBenchOptions,
     shorten=shorten,
     make_jobs=make_jobs,
-    tasks=(TASK,),
+    tasks=(LEARNING_JOBS,),
     tabulate=tabulate,
 )
 """`gridpush bench paper`, but for `--figures`; see `bench.paper_figures`."""

@@ -24,31 +24,32 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gridpush_drake.bench import paper, planning, real
-from gridpush_drake.bench.jobs import check_known
-from gridpush_drake.bench.pregrasp import experiments as pregrasp
-from gridpush_drake.bench.protocol import (
+from gridpush_drake.bench.data.protocol import (
     make_case,
     make_planning_protocol,
     make_protocol,
     read_object,
 )
-from gridpush_drake.bench.study import Done, Study, Task, option
-from gridpush_drake.bench.table import MM, PERCENT, Table, calc_interval
+from gridpush_drake.bench.pregrasp import experiments as pregrasp
+from gridpush_drake.bench.study import Done, JobKind, Study, option
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.jobs.run import check_known
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.report.draw import draw_cells, hide_axes, make_chart, make_grid, to_png, to_svg
+from gridpush_drake.report.table import Table, calc_interval
+from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
 
-SHIPPED = ("claw_hammer", "open_book", "snack_bag", "spray_bottle")
+SHIPPED_SUBSTITUTES = ("claw_hammer", "open_book", "snack_bag", "spray_bottle")
 """Shipped objects in place of the paper's hammer, book, snack and windex."""
 
 SHIPPED_HAMMER = "claw_hammer"
 """Shipped object in place of the paper's hammer."""
 
-FIGURES = ("mass_maps", "simulations", "real_pushes", "contact_points", "pregrasp")
+FIGURE_NAMES = ("mass_maps", "simulations", "real_pushes", "contact_points", "pregrasp")
 """Names of the figures."""
 
 
@@ -68,10 +69,10 @@ class Counts:
     pairs: int = 5
     splits: int = 5
     tries: int = 12
-    budget: int = paper.BUDGET
+    budget: int = paper.DEFAULT_BUDGET
 
 
-QUICK = Counts(sets=1, pairs=2, splits=2, tries=2, budget=150)
+QUICK_COUNTS = Counts(sets=1, pairs=2, splits=2, tries=2, budget=150)
 """How much is run in the quick variant."""
 
 REAL_COUNTS = (1, 3, 7, 25)
@@ -80,16 +81,25 @@ REAL_COUNTS = (1, 3, 7, 25)
 PAPER_REAL = 22.7
 """The paper's error of a real robot's pushes, mm."""
 
-PAPER_SUCCESS = {pregrasp.LEARNED: 100, pregrasp.UNBOUNDED: 81, pregrasp.UNIFORM: 75}
+PAPER_SUCCESS = {
+    pregrasp.LEARNED_METHOD: 100,
+    pregrasp.UNBOUNDED_METHOD: 81,
+    pregrasp.UNIFORM_METHOD: 75,
+}
 """The paper's successes with the hammer, %."""
 
 PAPER_SIMULATIONS = {"gradient": (40, 75), "exhaustive": (280, 650)}
 """The paper's numbers of simulations of a decision, least and most."""
 
-SLIDE_METHODS = (pregrasp.LEARNED, pregrasp.UNIFORM, pregrasp.UNBOUNDED, pregrasp.TRUE)
+SLIDE_METHODS = (
+    pregrasp.LEARNED_METHOD,
+    pregrasp.UNIFORM_METHOD,
+    pregrasp.UNBOUNDED_METHOD,
+    pregrasp.TRUE_METHOD,
+)
 """Methods of the pre-grasp experiment that are drawn."""
 
-PANEL = (4.2, 3.2)
+PANEL_SIZE = (4.2, 3.2)
 """Width and height of a chart, inches."""
 
 MAP_COLUMNS = ("hidden", "learned", "standard deviation")
@@ -98,15 +108,15 @@ MAP_COLUMNS = ("hidden", "learned", "standard deviation")
 MAP_SIZE = (8.0, 1.9)
 """Width of the mass maps and height of a row, inches."""
 
-BAR = 0.8
-"""Share of its place that a group of bars takes."""
+BAR_GROUP_FRACTION = 0.8
+"""Fraction of its place that a group of bars takes."""
 
-CAP = 3
+CAP_WIDTH = 3
 """Width of an error bar's ends, points."""
 
 
 @dataclass(frozen=True)
-class Options(paper.Options):
+class PaperFigureOptions(paper.PaperBenchOptions):
     """What is measured, and what is drawn.
 
     Attributes:
@@ -162,14 +172,14 @@ class MassMap:
     error: float
 
 
-def shorten(options: Options) -> Options:
+def shorten(options: PaperFigureOptions) -> PaperFigureOptions:
     """Makes the options of the quick variant."""
     if options.figures is not None:
-        return replace(options, counts=QUICK)
+        return replace(options, counts=QUICK_COUNTS)
     return replace(options, sets=paper.shorten(options).sets)
 
 
-def make_jobs(options: Options) -> Sequence[object]:
+def make_jobs(options: PaperFigureOptions) -> Sequence[object]:
     """Makes the jobs of all figures, or those of `bench.paper` without figures.
 
     Raises:
@@ -190,15 +200,17 @@ def make_jobs(options: Options) -> Sequence[object]:
     ]
 
 
-def _list_names(options: Options) -> list[str]:
-    """Returns the names of the objects: those given, the masks, or SHIPPED."""
+def _list_names(options: PaperFigureOptions) -> list[str]:
+    """Returns the names of the objects: those given, the masks, or SHIPPED_SUBSTITUTES."""
     masses = make_protocol(options.folder, options.seed).masses
-    return list(options.objects or masses or SHIPPED)
+    return list(options.objects or masses or SHIPPED_SUBSTITUTES)
 
 
-def _make_simulation_jobs(options: Options, names: Sequence[str]) -> list[paper.Job]:
+def _make_simulation_jobs(
+    options: PaperFigureOptions, names: Sequence[str]
+) -> list[paper.PaperJob]:
     return [
-        paper.Job(
+        paper.PaperJob(
             data=options.folder,
             name=name,
             mass_set=mass_set,
@@ -212,15 +224,17 @@ def _make_simulation_jobs(options: Options, names: Sequence[str]) -> list[paper.
     ]
 
 
-def _make_real_jobs(options: Options) -> list[real.Job]:
+def _make_real_jobs(options: PaperFigureOptions) -> list[real.RealPushJob]:
     logs = _find_logs(options.folder)
     if logs:
         known = real.name_logs(logs)
         kept = [entry for entry in known if entry[0] in real.FEET_SETS] or known
     else:
-        kept = [(name, real.SIMULATED, find_shipped_object(name)) for name in SHIPPED]
+        kept = [
+            (name, real.SIMULATED_LOG, find_shipped_object(name)) for name in SHIPPED_SUBSTITUTES
+        ]
     return [
-        real.Job(
+        real.RealPushJob(
             path=path, kind=kind, split=split, counts=REAL_COUNTS, seed=options.seed, name=name
         )
         for name, kind, path in kept
@@ -228,10 +242,12 @@ def _make_real_jobs(options: Options) -> list[real.Job]:
     ]
 
 
-def _make_contact_jobs(options: Options, names: Sequence[str]) -> list[planning.Job]:
+def _make_contact_jobs(
+    options: PaperFigureOptions, names: Sequence[str]
+) -> list[planning.PlanningJob]:
     return [
-        planning.Job(
-            kind=planning.CONTACT,
+        planning.PlanningJob(
+            kind=planning.CONTACT_PART,
             data=options.folder,
             name=name,
             number=number,
@@ -244,10 +260,10 @@ def _make_contact_jobs(options: Options, names: Sequence[str]) -> list[planning.
     ]
 
 
-def _make_slide_jobs(options: Options) -> list[pregrasp.Job]:
+def _make_slide_jobs(options: PaperFigureOptions) -> list[pregrasp.PreGraspJob]:
     mask = make_planning_protocol(options.folder, options.seed).masks.get(pregrasp.MASK_OBJECT)
     return [
-        pregrasp.Job(
+        pregrasp.PreGraspJob(
             name=SHIPPED_HAMMER if mask is None else pregrasp.MASK_OBJECT,
             mass_set=mass_set,
             seed=options.seed,
@@ -259,12 +275,12 @@ def _make_slide_jobs(options: Options) -> list[pregrasp.Job]:
     ]
 
 
-def tabulate(options: Options, done: Done) -> list[Table]:
+def tabulate(options: PaperFigureOptions, done: Done) -> list[Table]:
     """Draws the figures, and says what each shows, beside what the paper says."""
     if options.figures is None:
         return paper.tabulate(options, done)
     draw = (_draw_maps, _draw_simulations, _draw_real, _draw_contacts, _draw_pregrasp)
-    rows = [[name, *each(options, done)] for name, each in zip(FIGURES, draw, strict=True)]
+    rows = [[name, *each(options, done)] for name, each in zip(FIGURE_NAMES, draw, strict=True)]
     notes = [
         f"In {options.figures}, each as PNG and SVG.",
         "Objects: " + ", ".join(_list_names(options)) + ".",
@@ -277,12 +293,12 @@ def check_folder(folder: Path, force: bool) -> None:
     if not folder.exists():
         check_writable(folder, force)
         folder.mkdir()
-    for name in FIGURES:
+    for name in FIGURE_NAMES:
         for ending in (".png", ".svg"):
             check_writable(folder / (name + ending), force)
 
 
-def _write(options: Options, name: str, figure: Figure) -> None:
+def _write(options: PaperFigureOptions, name: str, figure: Figure) -> None:
     """Writes a figure as PNG and as SVG."""
     assert options.figures is not None
     write_whole(options.figures / f"{name}.png", to_png(figure), options.force)
@@ -314,9 +330,9 @@ Said = tuple[str, str]
 """What a figure shows here, and what the paper says."""
 
 
-def _draw_maps(options: Options, done: Done) -> Said:
+def _draw_maps(options: PaperFigureOptions, done: Done) -> Said:
     """Draws the mass maps."""
-    maps = done.of(MAPS)
+    maps = done.of(MAP_JOBS)
     figure, axes = make_grid(len(maps), len(MAP_COLUMNS), *MAP_SIZE)
     for row, found in zip(axes, maps, strict=True):
         obj = make_case(make_protocol(options.folder, options.seed), found.name, 0).obj
@@ -328,7 +344,7 @@ def _draw_maps(options: Options, done: Done) -> Said:
             hide_axes(ax, f"{found.name}, {title}")
     _write(options, "mass_maps", figure)
     likeness = [float(np.corrcoef(found.hidden, found.learned)[0, 1]) for found in maps]
-    error = MM * float(np.mean([found.error for found in maps]))
+    error = MM_PER_M * float(np.mean([found.error for found in maps]))
     return (
         f"learned from {paper.TRAINING_PUSHES} pushes: correlation with the hidden mass "
         f"{np.mean(likeness):.2f} ({min(likeness):.2f} to {max(likeness):.2f}); test error "
@@ -337,12 +353,12 @@ def _draw_maps(options: Options, done: Done) -> Said:
     )
 
 
-def _draw_simulations(options: Options, done: Done) -> Said:
+def _draw_simulations(options: PaperFigureOptions, done: Done) -> Said:
     """Draws the error against the number of simulated pushes."""
     budget = options.counts.budget
-    scores = [score for scores in done.of(paper.TASK) for score in scores]
-    shown = (paper.UNIFORM, *options.chosen_methods)
-    figure, ax = make_chart(2 * PANEL[0], 1.5 * PANEL[1])
+    scores = [score for scores in done.of(paper.LEARNING_JOBS) for score in scores]
+    shown = (paper.UNIFORM_PRIOR, *options.chosen_methods)
+    figure, ax = make_chart(2 * PANEL_SIZE[0], 1.5 * PANEL_SIZE[1])
     paper.draw_panel(ax, scores, shown)
     ax.axhline(paper.PAPER_MM, color="0.7", linewidth=1, label=f"paper, {paper.PAPER_MM:g} mm")
     ax.set_xlabel("simulated pushes")
@@ -350,7 +366,7 @@ def _draw_simulations(options: Options, done: Done) -> Said:
     ax.legend(fontsize="small", ncols=2)
     _write(options, "simulations", figure)
     best = {
-        method: MM * paper.summarize(paper.select(scores, method=method, budget=budget)).mean
+        method: MM_PER_M * paper.summarize(paper.select(scores, method=method, budget=budget)).mean
         for method in shown
     }
     said = ", ".join(f"{method.replace('_', ' ')} {error:.1f}" for method, error in best.items())
@@ -360,18 +376,22 @@ def _draw_simulations(options: Options, done: Done) -> Said:
     )
 
 
-def _draw_real(options: Options, done: Done) -> Said:
+def _draw_real(options: PaperFigureOptions, done: Done) -> Said:
     """Draws the error of predicted pushes, real ones or simulated ones in their place."""
-    scores = [score for scores in done.of(real.TASK) for score in scores]
-    is_real = any(job.kind != real.SIMULATED for job, _ in done.list_pairs(real.TASK))
+    scores = [score for scores in done.of(real.SPLIT_JOBS) for score in scores]
+    is_real = any(job.kind != real.SIMULATED_LOG for job, _ in done.list_pairs(real.SPLIT_JOBS))
     shown = list(dict.fromkeys(score.name for score in scores))
     steps = sorted(
-        {score.training for score in scores if score.model in (real.UNIFORM, real.POSES)}
+        {
+            score.training
+            for score in scores
+            if score.model in (real.UNIFORM_PRESSURE, real.POSES_MODEL)
+        }
     )
-    figure, ax = make_chart(2 * PANEL[0], 1.2 * PANEL[1])
+    figure, ax = make_chart(2 * PANEL_SIZE[0], 1.2 * PANEL_SIZE[1])
     for i, count in enumerate(steps):
-        model = real.POSES if count else real.UNIFORM
-        label = f"learned from {count}" if count else real.UNIFORM
+        model = real.POSES_MODEL if count else real.UNIFORM_PRESSURE
+        label = f"learned from {count}" if count else real.UNIFORM_PRESSURE
         _draw_bars(ax, i, len(steps), [_means(scores, name, model, count) for name in shown], label)
     what = "real pushes" if is_real else "simulated stand-ins for real pushes"
     _finish_bars(ax, shown, "position error, mm")
@@ -383,7 +403,7 @@ def _draw_real(options: Options, done: Done) -> Said:
     last = steps[-1]
     means = [
         float(np.mean([np.mean(_means(scores, name, model, count)) for name in shown]))
-        for model, count in ((real.UNIFORM, 0), (real.POSES, last))
+        for model, count in ((real.UNIFORM_PRESSURE, 0), (real.POSES_MODEL, last))
     ]
     return (
         f"{what}: {means[0]:.1f} mm before, {means[1]:.1f} mm learned from {last}",
@@ -391,11 +411,15 @@ def _draw_real(options: Options, done: Done) -> Said:
     )
 
 
-def _means(scores: Sequence[real.Score], name: str, model: str, training: int) -> list[float]:
+def _means(
+    scores: Sequence[real.RealPushScore], name: str, model: str, training: int
+) -> list[float]:
     """Calculates the mean position error of each division, mm."""
     wanted = (name, model, training)
     return [
-        MM * float(np.mean(s.position)) for s in scores if (s.name, s.model, s.training) == wanted
+        MM_PER_M * float(np.mean(s.position))
+        for s in scores
+        if (s.name, s.model, s.training) == wanted
     ]
 
 
@@ -407,18 +431,18 @@ def _find_logs(data: Path | None) -> list[tuple[str, Path]]:
         found = real.find_push_logs(data, real.CMU_TEST + max(REAL_COUNTS))
     except GridPushError:
         return []
-    return [log for log in found if log[0] == real.CMU]
+    return [log for log in found if log[0] == real.CMU_LOG]
 
 
-def _draw_contacts(options: Options, done: Done) -> Said:
+def _draw_contacts(options: PaperFigureOptions, done: Done) -> Said:
     """Draws what a decision for a contact point costs, and what it is worth."""
     names = _list_names(options)
-    found = done.of(planning.TASK)
+    found = done.of(planning.PLANNING_JOBS)
     decisions = [
         entry for entries in found for entry in entries if isinstance(entry, planning.Decision)
     ]
-    methods = (planning.GRADIENT, planning.DIFFERENCES, planning.EXHAUSTIVE)
-    figure, axes = make_grid(1, 2, 2.4 * PANEL[0], PANEL[1])
+    methods = (planning.GRADIENT_SEARCH, planning.DIFFERENCE_SEARCH, planning.EXHAUSTIVE_SEARCH)
+    figure, axes = make_grid(1, 2, 2.4 * PANEL_SIZE[0], PANEL_SIZE[1])
     for i, method in enumerate(methods):
         chosen = [[d for d in decisions if (d.name, d.method) == (name, method)] for name in names]
         label = method.replace("_", " ")
@@ -426,7 +450,11 @@ def _draw_contacts(options: Options, done: Done) -> Said:
             axes[0, 0], i, len(methods), [[d.simulations for d in some] for some in chosen], label
         )
         _draw_bars(
-            axes[0, 1], i, len(methods), [[MM * d.gap for d in some] for some in chosen], label
+            axes[0, 1],
+            i,
+            len(methods),
+            [[MM_PER_M * d.gap for d in some] for some in chosen],
+            label,
         )
     axes[0, 0].set_yscale("log")
     axes[0, 0].margins(y=0.3)  # room for the legend
@@ -437,7 +465,9 @@ def _draw_contacts(options: Options, done: Done) -> Said:
         method: np.mean([d.simulations for d in decisions if d.method == method])
         for method in methods
     }
-    gap = MM * float(np.mean([d.gap for d in decisions if d.method == planning.GRADIENT]))
+    gap = MM_PER_M * float(
+        np.mean([d.gap for d in decisions if d.method == planning.GRADIENT_SEARCH])
+    )
     low = PAPER_SIMULATIONS["gradient"]
     high = PAPER_SIMULATIONS["exhaustive"]
     return (
@@ -447,23 +477,25 @@ def _draw_contacts(options: Options, done: Done) -> Said:
     )
 
 
-def _draw_pregrasp(options: Options, done: Done) -> Said:
+def _draw_pregrasp(options: PaperFigureOptions, done: Done) -> Said:
     """Draws how often the hammer could be grasped at the table's edge, and how often it fell."""
-    scores = [score for score in done.of(pregrasp.TASK) if isinstance(score, pregrasp.SlideScore)]
+    scores = [
+        score for score in done.of(pregrasp.PREGRASP_JOBS) if isinstance(score, pregrasp.SlideScore)
+    ]
     hammer = scores[0].name
     outcomes = {
         method: [score.outcome for score in scores if score.method == method]
         for method in SLIDE_METHODS
     }
     grasped = {
-        method: PERCENT * float(np.mean([o.grasped for o in some]))
+        method: PERCENT_PER_ONE * float(np.mean([o.grasped for o in some]))
         for method, some in outcomes.items()
     }
     dropped = {
-        method: PERCENT * float(np.mean([o.dropped for o in some]))
+        method: PERCENT_PER_ONE * float(np.mean([o.dropped for o in some]))
         for method, some in outcomes.items()
     }
-    figure, ax = make_chart(2 * PANEL[0], PANEL[1])
+    figure, ax = make_chart(2 * PANEL_SIZE[0], PANEL_SIZE[1])
     places = np.arange(len(SLIDE_METHODS))
     ends: list[tuple[str, str, Mapping[str, float]]] = [
         ("graspable", "tab:blue", grasped),
@@ -471,11 +503,15 @@ def _draw_pregrasp(options: Options, done: Done) -> Said:
         ("in the paper: grasped", "0.75", PAPER_SUCCESS),
     ]
     for i, (label, color, values) in enumerate(ends):
-        shares = [values.get(method, np.nan) for method in SLIDE_METHODS]
+        fractions = [values.get(method, np.nan) for method in SLIDE_METHODS]
         ax.bar(
-            places + (i - 1) * BAR / len(ends), shares, BAR / len(ends), color=color, label=label
+            places + (i - 1) * BAR_GROUP_FRACTION / len(ends),
+            fractions,
+            BAR_GROUP_FRACTION / len(ends),
+            color=color,
+            label=label,
         )
-    ax.set_ylabel(f"{hammer}: share of {options.counts.tries} runs, %")
+    ax.set_ylabel(f"{hammer}: fraction of {options.counts.tries} runs, %")
     ax.set_xticks(places, SLIDE_METHODS)
     ax.margins(y=0.35)  # room for the legend
     ax.legend(fontsize="x-small")
@@ -484,7 +520,7 @@ def _draw_pregrasp(options: Options, done: Done) -> Said:
         f"{method} {grasped[method]:.0f} % ({dropped[method]:.0f} % dropped)"
         for method in SLIDE_METHODS
     )
-    paper_said = "; ".join(f"{method} {share} %" for method, share in PAPER_SUCCESS.items())
+    paper_said = "; ".join(f"{method} {fraction} %" for method, fraction in PAPER_SUCCESS.items())
     return f"{hammer}: {said}", paper_said
 
 
@@ -493,10 +529,12 @@ def _draw_bars(
 ) -> None:
     """Draws the i-th of `count` bars in each place: the mean of its sample, with its interval."""
     mean, low, high = np.array([calc_interval(sample) for sample in samples]).T
-    width = BAR / count
+    width = BAR_GROUP_FRACTION / count
     places = np.arange(len(mean)) + (i - (count - 1) / 2) * width
     spread = np.nan_to_num(np.maximum([mean - low, high - mean], 0.0))
-    ax.bar(places, mean, width, yerr=spread, capsize=CAP, label=label, error_kw={"linewidth": 1})
+    ax.bar(
+        places, mean, width, yerr=spread, capsize=CAP_WIDTH, label=label, error_kw={"linewidth": 1}
+    )
 
 
 def _finish_bars(ax: Axes, names: Sequence[str], label: str) -> None:
@@ -507,16 +545,22 @@ def _finish_bars(ax: Axes, names: Sequence[str], label: str) -> None:
     ax.grid(axis="y", alpha=0.3)
 
 
-MAPS = Task(job=MapJob, run=learn_map, describe=lambda job: f"mass map: {job.name}")
+MAP_JOBS = JobKind(job=MapJob, run=learn_map, describe=lambda job: f"mass map: {job.name}")
 """What is done to learn a mass map."""
 
 STUDY = Study(
     name="paper",
     help="Repeat the paper's simulated identification, every method beside the others.",
-    options=Options,
+    options=PaperFigureOptions,
     shorten=shorten,
     make_jobs=make_jobs,
-    tasks=(MAPS, paper.TASK, real.TASK, planning.TASK, pregrasp.TASK),
+    tasks=(
+        MAP_JOBS,
+        paper.LEARNING_JOBS,
+        real.SPLIT_JOBS,
+        planning.PLANNING_JOBS,
+        pregrasp.PREGRASP_JOBS,
+    ),
     tabulate=tabulate,
 )
 """`gridpush bench paper`."""

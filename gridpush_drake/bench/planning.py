@@ -12,8 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gridpush_drake.bench.jobs import check_known
-from gridpush_drake.bench.protocol import (
+from gridpush_drake.bench.data.protocol import (
     ANGLE_STD,
     POSITION_STD,
     PUSHED_SHIPPED,
@@ -25,29 +24,19 @@ from gridpush_drake.bench.protocol import (
     read_planning_object,
 )
 from gridpush_drake.bench.study import (
-    MASKS,
-    OBJECTS,
+    MASKS_OPTION,
+    OBJECTS_OPTION,
     Done,
+    JobKind,
     Study,
     StudyOptions,
-    Task,
     option,
 )
-from gridpush_drake.bench.table import (
-    MM,
-    MS,
-    PERCENT,
-    Column,
-    Table,
-    by_object,
-    calc_mean,
-    count_of,
-    mean_of,
-)
-from gridpush_drake.bench.worlds import LCP, find_world
+from gridpush_drake.bench.worlds.by_name import LCP_WORLD, find_world
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
+from gridpush_drake.jobs.run import check_known
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
@@ -55,47 +44,49 @@ from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_erro
 from gridpush_drake.planning.goal.next_push import GoalRules, RobustnessOptions
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.loop_run import Learner
+from gridpush_drake.report.table import Column, Table, by_object, calc_mean, count_of, mean_of
+from gridpush_drake.units import MM_PER_M, MS_PER_S, PERCENT_PER_ONE
 
-LEARNING = "learning"
+LEARNING_MODEL = "learning"
 """Name of the model that is learned on the way."""
 
-UNIFORM = "uniform"
+UNIFORM_MODEL = "uniform"
 """Name of the model whose masses and frictions are the same everywhere throughout."""
 
-TRUE = "true"
+TRUE_MODEL = "true"
 """Name of the true model."""
 
 LOOK_AHEAD = "true, two ahead"
 """Name of the true model, with which pushes are planned two ahead."""
 
-MODES = (LEARNING, UNIFORM, TRUE, LOOK_AHEAD)
+PLANNING_MODELS = (LEARNING_MODEL, UNIFORM_MODEL, TRUE_MODEL, LOOK_AHEAD)
 """Models that pushes are planned with."""
 
-WITHIN = 0.001
+GOOD_DECISION_COST = 0.001
 """Cost by which a decision may be worse than the exhaustive search's and count as good as it, m."""
 
-GRADIENT = "gradient"
+GRADIENT_SEARCH = "gradient"
 """Name of the search for a contact point by exact gradients."""
 
-DIFFERENCES = "finite_difference"
+DIFFERENCE_SEARCH = "finite_difference"
 """Name of the search for a contact point by finite differences."""
 
-EXHAUSTIVE = "exhaustive"
+EXHAUSTIVE_SEARCH = "exhaustive"
 """Name of the exhaustive search for a contact point."""
 
-METHOD_BUDGETS = {GRADIENT: 44, DIFFERENCES: 75}
+METHOD_BUDGETS = {GRADIENT_SEARCH: 44, DIFFERENCE_SEARCH: 75}
 """Greatest numbers of simulations of a decision; of the finite differences, the most that the
 paper's took."""
 
 PARAMETER_SEED = 100
 """Seed of the first random parameter set of the contact points."""
 
-SUCCESS = 0.02
+SUCCESS_ERROR = 0.02
 """True mean cell error below which a run has succeeded, m; the paper's."""
 
-TOLERANCE = 0.018
-"""Seen mean cell error below which the closed loop stops, m: less than SUCCESS, for it sees poses
-with noise."""
+GOAL_TOLERANCE = 0.018
+"""Seen mean cell error below which the closed loop stops, m: less than SUCCESS_ERROR, for it sees
+poses with noise."""
 
 MAX_PUSHES = 25
 """Greatest number of pushes towards a goal."""
@@ -106,27 +97,28 @@ QUICK_SETS = 1
 QUICK_PAIRS = 3
 """Number of pairs of start and goal poses in the quick variant."""
 
-CONTACT = "contact"
+CONTACT_PART = "contact"
 """Name of the part that chooses contact points."""
 
-PUSH = "push"
+PUSH_PART = "push"
 """Name of the part that pushes to goals."""
 
-PART_NAMES = {CONTACT: "contact points", PUSH: "pushing"}
+PART_NAMES = {CONTACT_PART: "contact points", PUSH_PART: "pushing"}
 """What the parts are called while they run."""
 
-SEEN = f"poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of noise."
+OBSERVATION_SENTENCE = f"poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of noise."
 """How the object is seen, in words."""
 
 WORLD_NOTES = {
-    LCP: f"Hidden masses by part; {SEEN} The table's edge does not change how the object rubs; it "
+    LCP_WORLD: f"Hidden masses by part; {OBSERVATION_SENTENCE} The table's edge does not change "
+    "how the object rubs; it "
     "falls where its center of mass loses its support."
 }
 """What a reader of the table should know of a world, by its name."""
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class PlanningBenchOptions(StudyOptions):
     """What is measured.
 
     Attributes:
@@ -135,22 +127,22 @@ class Options(StudyOptions):
             `PUSHED_SHIPPED` are pushed.
         sets: number of parameter and mass sets of each object.
         part: which part is measured.
-        world: name of the world in which objects are pushed, see `bench.worlds`.
-        modes: models that pushes are planned with, of MODES.
+        world: name of the world in which objects are pushed, see `bench.worlds.by_name`.
+        modes: models that pushes are planned with, of PLANNING_MODELS.
         pairs: number of pairs of start and goal poses; all of the protocol's where None.
     """
 
-    data: Path | None = option(None, **MASKS)
-    objects: tuple[str, ...] | None = option(None, **OBJECTS)
+    data: Path | None = option(None, **MASKS_OPTION)
+    objects: tuple[str, ...] | None = option(None, **OBJECTS_OPTION)
     sets: int = option(10, "Parameter and mass sets of each object.", least=1)
     part: Literal["all", "contact", "push"] = option("all", "Which part to measure.")
     world: str = option(
-        LCP,
+        LCP_WORLD,
         "What moves the objects that are pushed: lcp, edge, mujoco or drake, or MODULE:CLASS of a "
         "world of your own.",
         metavar="WORLD",
     )
-    modes: tuple[str, ...] = MODES
+    modes: tuple[str, ...] = PLANNING_MODELS
     pairs: int | None = None
 
     @property
@@ -160,7 +152,7 @@ class Options(StudyOptions):
 
 
 @dataclass(frozen=True)
-class Job:
+class PlanningJob:
     """One object with one parameter or mass set.
 
     Attributes:
@@ -181,7 +173,7 @@ class Job:
     pairs: int
     modes: tuple[str, ...]
     seed: int
-    world: str = LCP
+    world: str = LCP_WORLD
 
 
 @dataclass(frozen=True)
@@ -234,12 +226,12 @@ class Run:
     learning_seconds: float
 
 
-def shorten(options: Options) -> Options:
+def shorten(options: PlanningBenchOptions) -> PlanningBenchOptions:
     """Makes the options of the quick variant."""
     return replace(options, sets=QUICK_SETS, pairs=QUICK_PAIRS)
 
 
-def make_jobs(options: Options) -> list[Job]:
+def make_jobs(options: PlanningBenchOptions) -> list[PlanningJob]:
     """Makes a job for each part, set and object.
 
     Raises:
@@ -252,7 +244,7 @@ def make_jobs(options: Options) -> list[Job]:
         raise GridPushError(f"sets: {options.sets}; expected 1 to {protocol.mass_sets}")
     find_world(options.world)
     return [
-        Job(
+        PlanningJob(
             kind=part,
             data=folder,
             name=name,
@@ -268,24 +260,26 @@ def make_jobs(options: Options) -> list[Job]:
     ]
 
 
-def _read_protocol(options: Options) -> tuple[Path | None, PlanningProtocol]:
+def _read_protocol(options: PlanningBenchOptions) -> tuple[Path | None, PlanningProtocol]:
     folder = None if options.data is None else Path(options.data).resolve()
     return folder, make_planning_protocol(folder, options.seed)
 
 
-def _list_names(options: Options, protocol: PlanningProtocol, part: str) -> list[str]:
+def _list_names(options: PlanningBenchOptions, protocol: PlanningProtocol, part: str) -> list[str]:
     """Returns the names of the objects of a part."""
     if options.objects:
         return list(options.objects)
-    return list_objects(protocol) if part == CONTACT else list_objects(protocol, PUSHED_SHIPPED)
+    return (
+        list_objects(protocol) if part == CONTACT_PART else list_objects(protocol, PUSHED_SHIPPED)
+    )
 
 
-def run_job(job: Job) -> list[Decision | Run]:
+def run_job(job: PlanningJob) -> list[Decision | Run]:
     """Does one job."""
-    return [*(_decide(job) if job.kind == CONTACT else _push(job))]
+    return [*(_decide(job) if job.kind == CONTACT_PART else _push(job))]
 
 
-def _decide(job: Job) -> list[Decision]:
+def _decide(job: PlanningJob) -> list[Decision]:
     """Chooses the first push by every method, for each pair of poses."""
     protocol = make_planning_protocol(job.data, job.seed)
     obj = read_planning_object(protocol, job.name)
@@ -293,7 +287,9 @@ def _decide(job: Job) -> list[Decision]:
     options = ContactOptions()
     decisions = []
     for start, goal in protocol.pairs[: job.pairs]:
-        best = optimize_contact(Model(obj, params), start, goal, method=EXHAUSTIVE, options=options)
+        best = optimize_contact(
+            Model(obj, params), start, goal, method=EXHAUSTIVE_SEARCH, options=options
+        )
         plans = [best]
         for method, budget in METHOD_BUDGETS.items():
             chosen = replace(options, budget=budget, seed=job.seed)
@@ -313,7 +309,7 @@ def _decide(job: Job) -> list[Decision]:
     return decisions
 
 
-def _push(job: Job) -> list[Run]:
+def _push(job: PlanningJob) -> list[Run]:
     """Pushes in closed loop, for each pair of poses and each model to plan with."""
     protocol = make_planning_protocol(job.data, job.seed)
     obj = read_planning_object(protocol, job.name)
@@ -326,7 +322,7 @@ def _push(job: Job) -> list[Run]:
 
 
 def _push_once(
-    job: Job,
+    job: PlanningJob,
     protocol: PlanningProtocol,
     obj: GridObject,
     hidden: CellParameters,
@@ -345,13 +341,13 @@ def _push_once(
         angle_std=ANGLE_STD,
         seed=job.seed + pair,
     )
-    knows_all = mode in (TRUE, LOOK_AHEAD)
+    knows_all = mode in (TRUE_MODEL, LOOK_AHEAD)
     rules = GoalRules(
         constraints=protocol.constraints,
         contact=ContactOptions(),
         horizon=2 if mode == LOOK_AHEAD else 1,
         robustness=None if knows_all else RobustnessOptions(seed=job.seed),
-        tolerance=TOLERANCE,
+        tolerance=GOAL_TOLERANCE,
         max_pushes=MAX_PUSHES,
     )
     done = push_to_goal(
@@ -359,14 +355,14 @@ def _push_once(
         Model(hide_parts(obj), hidden if knows_all else None),
         goal,
         rules,
-        learner=Learner(seed=job.seed) if mode == LEARNING else None,
+        learner=Learner(seed=job.seed) if mode == LEARNING_MODEL else None,
     )
     truth = world.truth
     errors = [step.prediction_error for step in done.steps]
     return Run(
         name=job.name,
         mode=mode,
-        success=not truth.fallen and float(calc_goal_error(obj, truth.pose, goal)) < SUCCESS,
+        success=not truth.fallen and float(calc_goal_error(obj, truth.pose, goal)) < SUCCESS_ERROR,
         fell=bool(truth.fallen),
         pushes=len(done.steps),
         status=done.status,
@@ -378,17 +374,17 @@ def _push_once(
     )
 
 
-def tabulate(options: Options, done: Done) -> list[Table]:
+def tabulate(options: PlanningBenchOptions, done: Done) -> list[Table]:
     """Tabulates the decisions by object, and the runs by model and object."""
     _, protocol = _read_protocol(options)
-    results = [entry for entries in done.of(TASK) for entry in entries]
+    results = [entry for entries in done.of(PLANNING_JOBS) for entry in entries]
     decisions = [entry for entry in results if isinstance(entry, Decision)]
     runs = [entry for entry in results if isinstance(entry, Run)]
     tables = []
-    if CONTACT in options.parts:
-        tables.append(tabulate_decisions(decisions, _list_names(options, protocol, CONTACT)))
-    if PUSH in options.parts:
-        names = _list_names(options, protocol, PUSH)
+    if CONTACT_PART in options.parts:
+        tables.append(tabulate_decisions(decisions, _list_names(options, protocol, CONTACT_PART)))
+    if PUSH_PART in options.parts:
+        names = _list_names(options, protocol, PUSH_PART)
         tables.append(tabulate_runs(runs, names, options.modes, options.world))
     return tables
 
@@ -401,22 +397,24 @@ def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> T
             scale * float(calc([getattr(entry, field) for entry in some if entry.method == method]))
         )
 
-    def share_within(gaps: Sequence[float]) -> float:
-        return PERCENT * float(np.mean(np.array(gaps) <= WITHIN))
+    def fraction_within(gaps: Sequence[float]) -> float:
+        return PERCENT_PER_ONE * float(np.mean(np.array(gaps) <= GOOD_DECISION_COST))
 
     columns: dict[str, Column] = {
-        "decisions": count_of("method", GRADIENT),
-        "simulations": of(GRADIENT, np.mean, "simulations"),
-        "most": lambda some: max(entry.simulations for entry in some if entry.method == GRADIENT),
-        "within 1 mm, %": of(GRADIENT, share_within, "gap"),
-        "mean gap, mm": of(GRADIENT, np.mean, "gap", MM),
-        "worst gap, mm": of(GRADIENT, max, "gap", MM),
-        "ms": of(GRADIENT, np.median, "seconds", MS),
-        "f. d. simulations": of(DIFFERENCES, np.mean, "simulations"),
-        "f. d. within 1 mm, %": of(DIFFERENCES, share_within, "gap"),
-        "f. d. ms": of(DIFFERENCES, np.median, "seconds", MS),
-        "exhaustive simulations": of(EXHAUSTIVE, np.mean, "simulations"),
-        "exhaustive ms": of(EXHAUSTIVE, np.median, "seconds", MS),
+        "decisions": count_of("method", GRADIENT_SEARCH),
+        "simulations": of(GRADIENT_SEARCH, np.mean, "simulations"),
+        "most": lambda some: max(
+            entry.simulations for entry in some if entry.method == GRADIENT_SEARCH
+        ),
+        "within 1 mm, %": of(GRADIENT_SEARCH, fraction_within, "gap"),
+        "mean gap, mm": of(GRADIENT_SEARCH, np.mean, "gap", MM_PER_M),
+        "worst gap, mm": of(GRADIENT_SEARCH, max, "gap", MM_PER_M),
+        "ms": of(GRADIENT_SEARCH, np.median, "seconds", MS_PER_S),
+        "f. d. simulations": of(DIFFERENCE_SEARCH, np.mean, "simulations"),
+        "f. d. within 1 mm, %": of(DIFFERENCE_SEARCH, fraction_within, "gap"),
+        "f. d. ms": of(DIFFERENCE_SEARCH, np.median, "seconds", MS_PER_S),
+        "exhaustive simulations": of(EXHAUSTIVE_SEARCH, np.mean, "simulations"),
+        "exhaustive ms": of(EXHAUSTIVE_SEARCH, np.median, "seconds", MS_PER_S),
     }
     notes = [
         "One push towards the goal, the masses drawn by part. A simulation with its exact Jacobian "
@@ -435,7 +433,7 @@ def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> T
 
 
 def tabulate_runs(
-    runs: Sequence[Run], names: Sequence[str], modes: Sequence[str], world: str = LCP
+    runs: Sequence[Run], names: Sequence[str], modes: Sequence[str], world: str = LCP_WORLD
 ) -> Table:
     """Tabulates by model and object how often the goal is reached, and with how many pushes."""
     groups = [
@@ -445,13 +443,13 @@ def tabulate_runs(
     ]
     columns: dict[str, Column] = {
         "runs": len,
-        "success, %": mean_of("success", PERCENT),
+        "success, %": mean_of("success", PERCENT_PER_ONE),
         "off the table": count_of("fell", True),
         "pushes": mean_of("pushes"),
         "90 %": lambda some: float(np.quantile([run.pushes for run in some], 0.9)),
         "most": lambda some: max(run.pushes for run in some),
-        "first prediction, mm": mean_of("first_error", MM),
-        "later, mm": mean_of("later_error", MM),
+        "first prediction, mm": mean_of("first_error", MM_PER_M),
+        "later, mm": mean_of("later_error", MM_PER_M),
         "simulations": mean_of("simulations"),
         "planning, s": mean_of("planning_seconds"),
         "learning, s": mean_of("learning_seconds"),
@@ -460,7 +458,7 @@ def tabulate_runs(
     notes = [
         f"Success: mean cell error under 2 cm within {MAX_PUSHES} pushes, on the round table of "
         "radius 0.5 m.",
-        WORLD_NOTES.get(world, f"Pushed in {world}; {SEEN}"),
+        WORLD_NOTES.get(world, f"Pushed in {world}; {OBSERVATION_SENTENCE}"),
         "Models: learned on the way from the uniform one; uniform throughout; the true one, "
         "looking one push ahead (as the others do) and two.",
         "Predictions: mean cell error of a push's predicted end, of the first push and of the "
@@ -473,8 +471,8 @@ def tabulate_runs(
     return Table.of("Pushing to a goal", ("model", "object"), groups, columns, notes)
 
 
-TASK = Task(
-    job=Job,
+PLANNING_JOBS = JobKind(
+    job=PlanningJob,
     run=run_job,
     describe=lambda job: f"{PART_NAMES[job.kind]}: {job.name}, set {job.number}",
 )
@@ -483,10 +481,10 @@ TASK = Task(
 STUDY = Study(
     name="planning",
     help="Choose contact points, and push objects to goal poses on the paper's round table.",
-    options=Options,
+    options=PlanningBenchOptions,
     shorten=shorten,
     make_jobs=make_jobs,
-    tasks=(TASK,),
+    tasks=(PLANNING_JOBS,),
     tabulate=tabulate,
 )
 """`gridpush bench planning`."""

@@ -23,20 +23,19 @@ from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench.mujoco_plant import MujocoPlant
-from gridpush_drake.bench.plant import PlantWorld
-from gridpush_drake.bench.real import CMU_RHO, calc_splits_mean
-from gridpush_drake.bench.real_logs import (
-    CMU,
-    MIT,
-    PUSHES,
-    SIMULATED,
+from gridpush_drake.bench.data.real_logs import (
+    CMU_LOG,
+    MIT_LOG,
+    SIMULATED_LOG,
+    SIMULATED_PUSH_COUNT,
     find_push_logs,
     name_logs,
     simulate_log,
 )
-from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
-from gridpush_drake.bench.table import MM, Mean, Table, Value
+from gridpush_drake.bench.real import CMU_RHO, calc_splits_mean
+from gridpush_drake.bench.study import Done, JobKind, Study, StudyOptions, option
+from gridpush_drake.bench.worlds.mujoco_plant import MujocoPlant
+from gridpush_drake.bench.worlds.plant import PlantWorld
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, wrap_angle
@@ -49,26 +48,28 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers import find_importer
 from gridpush_drake.pushes.importers.mit import read_model_errors
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.table import Mean, Table, Value
+from gridpush_drake.units import MM_PER_M
 
-STILL = "does not move"
-EVEN = "even object"
-LEARNED = "learned"
-OWN = "the set's own model"
+STILL_MODEL = "does not move"
+EVEN_MODEL = "even object"
+LEARNED_MODEL = "learned"
+SET_MODEL = "the set's own model"
 """Names of what is believed of an object."""
 
-OURS = "ours"
-DRAKE = "Drake"
-MUJOCO = "MuJoCo"
-ENGINES = (OURS, DRAKE, MUJOCO)
+LCP_ENGINE = "ours"
+DRAKE_ENGINE = "Drake"
+MUJOCO_ENGINE = "MuJoCo"
+ENGINE_NAMES = (LCP_ENGINE, DRAKE_ENGINE, MUJOCO_ENGINE)
 """Names of the simulators."""
 
-COUNTS = (5, 25)
+TRAINING_PUSH_COUNTS = (5, 25)
 """Numbers of pushes to learn from."""
 
-TEST = 20
+DEFAULT_TEST_COUNT = 20
 """Number of held-out pushes of each division, by default."""
 
-SPLITS = 5
+DEFAULT_SPLIT_COUNT = 5
 """Number of divisions of a set into pushes to learn from and others, by default."""
 
 STAND_INS = ("claw_hammer", "toolbox")
@@ -78,7 +79,7 @@ QUICK_SPLITS = 1
 QUICK_TEST = 3
 """Numbers of divisions and of held-out pushes in the quick variant."""
 
-REPEATED = {CMU: 1.4}
+REPEATABILITY = {CMU_LOG: 1.4}
 """What repeated pushes differ by, mm, by the kind of set, where it is known."""
 
 PLANT_SPEED = 0.02
@@ -87,7 +88,7 @@ object that slides with a friction of 0.3 stops within 0.07 mm."""
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class RealityBenchOptions(StudyOptions):
     """What is measured.
 
     Attributes:
@@ -106,19 +107,19 @@ class Options(StudyOptions):
         metavar="DIR",
     )
     splits: int = option(
-        SPLITS, "Divisions of a set into pushes to learn from and others.", least=1
+        DEFAULT_SPLIT_COUNT, "Divisions of a set into pushes to learn from and others.", least=1
     )
-    test: int = option(TEST, "Held-out pushes of each division.", least=1)
+    test: int = option(DEFAULT_TEST_COUNT, "Held-out pushes of each division.", least=1)
     plants: bool = option(True, "Let Drake's and MuJoCo's plants predict, too.")
 
 
 @dataclass(frozen=True)
-class Job:
+class RealityJob:
     """One division of one set.
 
     Attributes:
         name: name of the set.
-        kind: kind of the set: CMU, MIT or SIMULATED of `bench.real`.
+        kind: kind of the set: CMU, MIT or SIMULATED_LOG of `bench.real`.
         path: its file, or that of the object whose pushes are simulated.
         split: number of the division, and of the simulated truth.
         test: number of held-out pushes.
@@ -136,7 +137,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Score:
+class RealityScore:
     """How far predictions of held-out pushes are off.
 
     Attributes:
@@ -160,7 +161,7 @@ class Score:
     errors: tuple[float, ...]
 
 
-def shorten(options: Options) -> Options:
+def shorten(options: RealityBenchOptions) -> RealityBenchOptions:
     """Makes the options of the quick variant."""
     return replace(
         options,
@@ -169,34 +170,35 @@ def shorten(options: Options) -> Options:
     )
 
 
-def make_jobs(options: Options) -> list[Job]:
+def make_jobs(options: RealityBenchOptions) -> list[RealityJob]:
     """Makes a job for each set and division.
 
     Raises:
         GridPushError: the data are not there, or there are too few simulated pushes.
         PushLogError: a set cannot be read.
     """
-    needed = max(COUNTS) + options.test
+    needed = max(TRAINING_PUSH_COUNTS) + options.test
     if options.data is not None:
         sets = name_logs(find_push_logs(Path(options.data).resolve(), needed))
         for _, kind, path in sets:
             _read_file(path, kind)
-    elif needed > PUSHES:
+    elif needed > SIMULATED_PUSH_COUNT:
         raise GridPushError(
-            f"--test: {options.test}; expected at most {PUSHES - max(COUNTS)} with simulated pushes"
+            f"--test: {options.test}; expected at most "
+            f"{SIMULATED_PUSH_COUNT - max(TRAINING_PUSH_COUNTS)} with simulated pushes"
         )
     else:
-        sets = [(name, SIMULATED, find_shipped_object(name)) for name in STAND_INS]
-    engines = [OURS]
+        sets = [(name, SIMULATED_LOG, find_shipped_object(name)) for name in STAND_INS]
+    engines = [LCP_ENGINE]
     if options.plants:
-        engines.append(DRAKE)
+        engines.append(DRAKE_ENGINE)
     # MuJoCo is in an extra, so that its column is left out where it is not installed
     if options.plants and find_spec("mujoco"):
-        engines.append(MUJOCO)
+        engines.append(MUJOCO_ENGINE)
     jobs = []
     for name, kind, path in sets:
         for split in range(options.splits):
-            job = Job(
+            job = RealityJob(
                 name=name,
                 kind=kind,
                 path=path,
@@ -209,9 +211,9 @@ def make_jobs(options: Options) -> list[Job]:
     return jobs
 
 
-def _read(job: Job) -> tuple[PushLog, GridObject]:
+def _read(job: RealityJob) -> tuple[PushLog, GridObject]:
     """Reads the set of a job, or simulates the pushes that stand in for one."""
-    if job.kind == SIMULATED:
+    if job.kind == SIMULATED_LOG:
         return simulate_log(job.path, job.seed, job.split)
     return _read_file(job.path, job.kind)
 
@@ -220,12 +222,12 @@ def _read(job: Job) -> tuple[PushLog, GridObject]:
 def _read_file(path: Path, kind: str) -> tuple[PushLog, GridObject]:
     """Reads a set of real pushes. The center of mass of a CMU plate is told: it is even."""
     log, obj = find_importer(kind)().read(path)
-    if kind == CMU:
+    if kind == CMU_LOG:
         obj = replace(obj, prior=replace(obj.prior, center_of_mass=(0.0, 0.0)))
     return log, obj
 
 
-def run_job(job: Job) -> list[Score]:
+def run_job(job: RealityJob) -> list[RealityScore]:
     """Learns from one division of one set, and predicts the held-out pushes in every simulator."""
     log, obj = _read(job)
     order = np.random.default_rng([job.seed, job.split]).permutation(len(log))
@@ -234,15 +236,15 @@ def run_job(job: Job) -> list[Score]:
     rest = order[job.test :]
 
     # What is believed of the object
-    believed = [(EVEN, 0, CellParameters.uniform(obj))]
-    for count in COUNTS:
+    believed = [(EVEN_MODEL, 0, CellParameters.uniform(obj))]
+    for count in TRAINING_PUSH_COUNTS:
         found = identify(Model(obj), log.subset(rest[:count]), seed=job.seed)
-        believed.append((LEARNED, count, found.params))
+        believed.append((LEARNED_MODEL, count, found.params))
 
     # What each simulator makes of it
-    def score(model: str, training: int, engine: str, ends: Sequence[Array]) -> Score:
+    def score(model: str, training: int, engine: str, ends: Sequence[Array]) -> RealityScore:
         errors = [calc_error(end, seen.final_pose) for end, seen in zip(ends, test, strict=True)]
-        return Score(
+        return RealityScore(
             name=job.name,
             kind=job.kind,
             split=job.split,
@@ -253,7 +255,7 @@ def run_job(job: Job) -> list[Score]:
             errors=tuple(errors),
         )
 
-    scores = [score(STILL, 0, OURS, [seen.pose for seen in test])]
+    scores = [score(STILL_MODEL, 0, LCP_ENGINE, [seen.pose for seen in test])]
     for model, training, params in believed:
         for engine in job.engines:
             ends = find_ends(engine, obj, params, test)
@@ -273,10 +275,10 @@ def find_ends(engine: str, obj: GridObject, params: CellParameters, log: PushLog
     Returns:
         Of each push the object's last pose (3,), m and rad.
     """
-    if engine == OURS:
+    if engine == LCP_ENGINE:
         return [motion.poses[-1] for motion in predict(Model(obj, params), log, "quasi_static")]
     radius = log[0].push.radius
-    if engine == MUJOCO:
+    if engine == MUJOCO_ENGINE:
         plant = MujocoPlant(obj, params, radius)
         return [plant.push(hasten(seen.push), seen.pose) for seen in log]
     world = PlantWorld(Model(obj, params), radius=radius)
@@ -302,28 +304,34 @@ def calc_error(one: Array, other: Array) -> float:
     return float(np.hypot(dx, dy) + CMU_RHO * abs(wrap_angle(turn)))
 
 
-def tabulate(options: Options, done: Done) -> list[Table]:
+def tabulate(options: RealityBenchOptions, done: Done) -> list[Table]:
     """Makes the one table."""
-    scores = [score for scores in done.of(TASK) for score in scores]
-    jobs = [job for job, _ in done.list_pairs(TASK)]
+    scores = [score for scores in done.of(SPLIT_JOBS) for score in scores]
+    jobs = [job for job, _ in done.list_pairs(SPLIT_JOBS)]
     engines = jobs[0].engines
     rows: list[list[Value]] = []
     for name, kind, path in dict.fromkeys((job.name, job.kind, job.path) for job in jobs):
-        for model, training in ((STILL, 0), (EVEN, 0), *((LEARNED, count) for count in COUNTS)):
+        for model, training in (
+            (STILL_MODEL, 0),
+            (EVEN_MODEL, 0),
+            *((LEARNED_MODEL, count) for count in TRAINING_PUSH_COUNTS),
+        ):
             means = [_calc_mean(scores, name, model, training, engine) for engine in engines]
-            rows.append([name, model, training, *means, REPEATED.get(kind)])
-        if kind == MIT:
+            rows.append([name, model, training, *means, REPEATABILITY.get(kind)])
+        if kind == MIT_LOG:
             own = _read_own(path)
-            rows.append([name, OWN, None, own, *[None] * (len(engines) - 1), None])
+            rows.append([name, SET_MODEL, None, own, *[None] * (len(engines) - 1), None])
     notes = [
-        f"Error |dxy| + rho |dtheta| of held-out pushes, rho = {MM * CMU_RHO:.1f} mm; mean over "
+        f"Error |dxy| + rho |dtheta| of held-out pushes, rho = {MM_PER_M * CMU_RHO:.1f} mm; mean "
+        "over "
         f"all that {options.splits} divisions held out, {options.test} each, ± 95 % confidence "
         "(Student's t over pushes; what other pushes to learn from would change is not in it).",
         "Drake and MuJoCo have the same masses and frictions as ours. Drake's object is held to "
         "the table's plane, MuJoCo's is free on its feet; both are pushed at "
-        f"{MM * PLANT_SPEED:g} mm/s at least.",
+        f"{MM_PER_M * PLANT_SPEED:g} mm/s at least.",
         "The center of mass of the CMU's plates is told: they are even.",
-        f"{OWN}: the mean error over all pushes of the file by another model, as the file says.",
+        f"{SET_MODEL}: the mean error over all pushes of the file by another model, as the file "
+        "says.",
         "Repeated: what the same push differs by when it is made again, where that is known.",
     ]
     title = "Real pushes: held-out error, mm"
@@ -335,7 +343,7 @@ def tabulate(options: Options, done: Done) -> list[Table]:
 
 
 def _calc_mean(
-    scores: Sequence[Score], name: str, model: str, training: int, engine: str
+    scores: Sequence[RealityScore], name: str, model: str, training: int, engine: str
 ) -> Mean | None:
     """Calculates the mean over pushes, mm; None if a simulator did not predict with a model."""
     chosen = [
@@ -350,29 +358,31 @@ def _calc_mean(
     by_push: dict[tuple[str, int], list[float]] = {}
     for score in chosen:
         # Each division of simulated pushes has pushes of its own
-        of = str(score.split) if score.kind == SIMULATED else ""
+        of = str(score.split) if score.kind == SIMULATED_LOG else ""
         for number, error in zip(score.pushes, score.errors, strict=True):
-            by_push.setdefault((of, number), []).append(MM * error)
+            by_push.setdefault((of, number), []).append(MM_PER_M * error)
     return calc_splits_mean(np.array([np.mean(errors) for errors in by_push.values()]))
 
 
 def _read_own(path: Path) -> Mean:
     """Reads the mean error of a set's own model, mm."""
     position, angle = read_model_errors(path)
-    return Mean(MM * (position + CMU_RHO * angle))
+    return Mean(MM_PER_M * (position + CMU_RHO * angle))
 
 
-TASK = Task(job=Job, run=run_job, describe=lambda job: f"{job.name}, split {job.split}")
+SPLIT_JOBS = JobKind(
+    job=RealityJob, run=run_job, describe=lambda job: f"{job.name}, split {job.split}"
+)
 """What is done with a job."""
 
 STUDY = Study(
     name="reality",
     help="Predict every set of real pushes (--data), or simulated ones in their place, by our "
     "model and by Drake's and MuJoCo's plants with the same masses.",
-    options=Options,
+    options=RealityBenchOptions,
     shorten=shorten,
     make_jobs=make_jobs,
-    tasks=(TASK,),
+    tasks=(SPLIT_JOBS,),
     tabulate=tabulate,
 )
 """`gridpush bench reality`."""

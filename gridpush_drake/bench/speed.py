@@ -14,22 +14,20 @@ from time import process_time
 
 import numpy as np
 
-from gridpush_drake.bench.jobs import Report, count_steps
-from gridpush_drake.bench.mujoco_boxes import make_mujoco_push
 from gridpush_drake.bench.speed_cases import (
     DRAWN_LENGTH,
     DRAWN_PUSHES,
-    DT,
-    DURATION,
-    OBSERVED,
+    OBSERVED_POSE_COUNT,
+    PAPER_TIME_STEP,
+    PUSH_DURATION,
     draw_random_pushes,
     load_hammer,
     make_bench_log,
     make_bench_push,
 )
-from gridpush_drake.bench.study import MASKS, Study, StudyOptions, option
-from gridpush_drake.bench.table import MS, Table, Value
+from gridpush_drake.bench.study import MASKS_OPTION, Study, StudyOptions, option
 from gridpush_drake.bench.timing import Timing, measure, one_core
+from gridpush_drake.bench.worlds.mujoco_boxes import make_mujoco_push
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.push_batch import PushBatch
@@ -37,8 +35,9 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.identification.statistics.problem import PushProblem, TimedPush
+from gridpush_drake.jobs.run import Report, count_steps
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
@@ -47,6 +46,8 @@ from gridpush_drake.planning.goal.push_decision import decide_push
 from gridpush_drake.planning.model_rollouts import WEIGHED_DRAWS
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.report.table import Table, Value
+from gridpush_drake.units import MS_PER_S
 
 PAPER_SIMULATION = 1.3448
 """The paper's time of a simulated push, s (Song and Boularias, RSS 2020)."""
@@ -57,13 +58,13 @@ PAPER_GRADIENT = 0.0069
 PUSH_HEIGHT = 0.01
 """Height of the pusher above the table where loads shift, m."""
 
-FINAL = ", with the Jacobian of the final pose"
+FINAL_JACOBIAN_SUFFIX = ", with the Jacobian of the final pose"
 """Ending of the name of a simulation that also gives the final pose's derivatives."""
 
-EVERY = ", with the Jacobian of all poses"
+ALL_JACOBIANS_SUFFIX = ", with the Jacobian of all poses"
 """Ending of the name of a simulation that also gives all poses' derivatives."""
 
-SIZES = (10, 30, 100, 300, 1000, 3000, 10000)
+CELL_COUNTS = (10, 30, 100, 300, 1000, 3000, 10000)
 """Numbers of cells for the cost against the number of cells."""
 
 LINEAR_FROM = 300
@@ -73,10 +74,10 @@ number shows."""
 START_UPS = 7
 """Number of runs of each command that starts Python."""
 
-LOGS = ((60, 5), (132, 6), (132, 12), (132, 25), (132, 50), (132, 100), (132, 200))
+LOG_SIZES = ((60, 5), (132, 6), (132, 12), (132, 25), (132, 50), (132, 100), (132, 200))
 """Numbers of cells and pushes of the logs that are identified."""
 
-FEW = 25
+UNREPEATED_PUSH_COUNT = 25
 """Number of pushes from which on an identification is timed only once."""
 
 IDENTIFY_REPETITIONS = 5
@@ -91,7 +92,7 @@ BATCH_CELLS = 4900
 TABLE_RADIUS = 0.5
 """Radius of the table on which decisions are timed, m."""
 
-GOALS = 20
+GOAL_COUNT = 20
 """Number of goals for each of which one push is decided on."""
 
 GOAL_REACH = (0.15, 0.15, 1.0)
@@ -102,7 +103,7 @@ Announce = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class SpeedBenchOptions(StudyOptions):
     """What is measured.
 
     Attributes:
@@ -114,15 +115,15 @@ class Options(StudyOptions):
         draws: number of models that are drawn from a posterior.
     """
 
-    data: Path | None = option(None, **MASKS)
+    data: Path | None = option(None, **MASKS_OPTION)
     repetitions: int = option(50, "Runs of each simulation.", least=3)
     mujoco: bool = option(True, "Run MuJoCo beside, where it is installed.")
-    sizes: tuple[int, ...] = SIZES
-    logs: tuple[tuple[int, int], ...] = LOGS
+    sizes: tuple[int, ...] = CELL_COUNTS
+    logs: tuple[tuple[int, int], ...] = LOG_SIZES
     draws: int = option(1000, "Models drawn from a posterior.", least=1)
 
 
-def measure_all(options: Options, report: Report | None) -> list[Table]:
+def measure_all(options: SpeedBenchOptions, report: Report | None) -> list[Table]:
     """Measures everything, on one core.
 
     Args:
@@ -149,9 +150,13 @@ def _make_simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
     """Makes what is timed, by name; the Jacobian is expanded to all its named blocks."""
     params = CellParameters.random(obj, seed=0)
     push = make_bench_push(obj)
-    steps = round(DURATION / DT)
+    steps = round(PUSH_DURATION / PAPER_TIME_STEP)
     high = replace(params, push_height=PUSH_HEIGHT)
-    recorded: dict[str, Sequence[int] | None] = {"": None, FINAL: [steps], EVERY: range(steps + 1)}
+    recorded: dict[str, Sequence[int] | None] = {
+        "": None,
+        FINAL_JACOBIAN_SUFFIX: [steps],
+        ALL_JACOBIANS_SUFFIX: range(steps + 1),
+    }
     kinds: list[tuple[str, CellParameters, Regime]] = [
         ("inertial", params, "inertial"),
         ("quasi_static", params, "quasi_static"),
@@ -161,7 +166,7 @@ def _make_simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
         name + suffix: partial(_simulate, obj, shifting, push, regime, record)
         for name, shifting, regime in kinds
         for suffix, record in recorded.items()
-        if shifting is params or suffix != EVERY
+        if shifting is params or suffix != ALL_JACOBIANS_SUFFIX
     }
 
 
@@ -173,9 +178,9 @@ def _simulate(
     record: Sequence[int] | None,
 ) -> object:
     if record is None:
-        return simulate(Model(obj, params), push, dt=DT, regime=regime)
+        return simulate(Model(obj, params), push, dt=PAPER_TIME_STEP, regime=regime)
     return simulate(
-        Model(obj, params), push, dt=DT, regime=regime, gradients=True, record=record
+        Model(obj, params), push, dt=PAPER_TIME_STEP, regime=regime, gradients=True, record=record
     ).jacobian
 
 
@@ -191,7 +196,8 @@ def _measure_push(
         _row(name, timing, timing.median / plain) for name, timing in times.items()
     ]
     notes = [
-        f"{obj.name}, {obj.n} cells, {DURATION:g} s push, step {DT * MS:g} ms; median and "
+        f"{obj.name}, {obj.n} cells, {PUSH_DURATION:g} s push, step "
+        f"{PAPER_TIME_STEP * MS_PER_S:g} ms; median and "
         f"quartiles of {repetitions} runs{', pinned to one core' if pinned else ''}.",
         "The Jacobian is by all masses and frictions, the contact friction and the push.",
     ]
@@ -206,10 +212,16 @@ def _measure_push(
         except ImportError:
             notes.append("MuJoCo is not installed: pip install 'gridpush-drake[bench]'.")
     rows.append(
-        ["the paper, simulation", PAPER_SIMULATION * MS, None, None, PAPER_SIMULATION / plain]
+        ["the paper, simulation", PAPER_SIMULATION * MS_PER_S, None, None, PAPER_SIMULATION / plain]
     )
     rows.append(
-        ["the paper, gradient by itself", PAPER_GRADIENT * MS, None, None, PAPER_GRADIENT / plain]
+        [
+            "the paper, gradient by itself",
+            PAPER_GRADIENT * MS_PER_S,
+            None,
+            None,
+            PAPER_GRADIENT / plain,
+        ]
     )
     notes.append("The paper's times are as published, on its authors' computer.")
     return Table(
@@ -226,11 +238,13 @@ def _measure_sizes(sizes: Sequence[int], repetitions: int, announce: Announce) -
             np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]]), max_cells=size
         )
         works = _make_simulations(obj)
-        chosen = [works[name] for name in ("inertial", f"inertial{FINAL}")]
+        chosen = [works[name] for name in ("inertial", f"inertial{FINAL_JACOBIAN_SUFFIX}")]
         fewer = max(3, int(repetitions * min(1.0, 100 / obj.n)))
         plain, jacobian = (measure(work, fewer).median for work in chosen)
         medians.append((obj.n, plain, jacobian))
-        rows.append([obj.n, plain * MS, jacobian * MS, jacobian / plain, plain / obj.n * 1e6])
+        rows.append(
+            [obj.n, plain * MS_PER_S, jacobian * MS_PER_S, jacobian / plain, plain / obj.n * 1e6]
+        )
     columns = ("cells", "simulation, ms", "with Jacobian, ms", "ratio", "simulation, µs a cell")
     notes = [
         "A square of 0.2 m; inertial, with the Jacobian of the final pose.",
@@ -258,7 +272,7 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
         obj, log = make_bench_log(cells, pushes)
         # What is compiled or loaded for the first identification is not timed.
         identify(Model(obj), log.subset(range(min(2, pushes))))
-        repetitions = IDENTIFY_REPETITIONS if pushes < FEW else 1
+        repetitions = IDENTIFY_REPETITIONS if pushes < UNREPEATED_PUSH_COUNT else 1
         whole = measure(partial(identify, Model(obj), log), repetitions, 0, process_time)
         found = identify(Model(obj), log)
         problem = PushProblem(obj, log, found.params, QUASI_STATIC)
@@ -275,10 +289,10 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
                 obj.n,
                 pushes,
                 whole.median,
-                whole.median / pushes * MS,
+                whole.median / pushes * MS_PER_S,
                 found.simulations / pushes,
-                batch * MS,
-                single * MS,
+                batch * MS_PER_S,
+                single * MS_PER_S,
             ]
         )
     columns = (
@@ -291,7 +305,8 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
         "the same one by one, ms",
     )
     note = (
-        f"Processor time; {OBSERVED} poses of each push. The last two columns are one evaluation "
+        f"Processor time; {OBSERVED_POSE_COUNT} poses of each push. The last two columns are one "
+        "evaluation "
         "of the log: in one call, which also makes residuals of it, and by `simulate`, push by "
         "push."
     )
@@ -302,7 +317,7 @@ def _measure_decisions(obj: GridObject, draws: int, announce: Announce) -> Table
     announce("decisions on the next push")
     rng = np.random.default_rng(0)
     params = CellParameters.random(obj, seed=0)
-    goals = rng.uniform(-1.0, 1.0, (GOALS, 3)) * GOAL_REACH
+    goals = rng.uniform(-1.0, 1.0, (GOAL_COUNT, 3)) * GOAL_REACH
     still = np.zeros(3)
     model = Model(obj, params)
     optimize_contact(model, still, goals[0])
@@ -331,12 +346,12 @@ def _measure_decisions(obj: GridObject, draws: int, announce: Announce) -> Table
         ["where and how to push next, by gradient", *_to_ms(decision)],
         [f"the same, weighed with {WEIGHED_DRAWS} draws", *_to_ms(free)],
         [f"the same on a table, weighed with {WEIGHED_DRAWS} draws", *_to_ms(bounded)],
-        [f"{DRAWN_PUSHES} pushes by each of {draws} drawn models", MS * whole, None, None],
-        ["one of these pushes", MS * each, None, None],
+        [f"{DRAWN_PUSHES} pushes by each of {draws} drawn models", MS_PER_S * whole, None, None],
+        ["one of these pushes", MS_PER_S * each, None, None],
     ]
     notes = [
         f"Processor time. The first decision is on one push of the {obj.name}, {obj.n} cells; "
-        f"median and quartiles over {GOALS} goals.",
+        f"median and quartiles over {GOAL_COUNT} goals.",
         f"The drawn models are of a bar of {learned.n} cells, from the posterior after {count} "
         f"pushes; so are the next two decisions, which also take the draws. Each push by the drawn "
         f"models is {DRAWN_LENGTH * 100:g} cm long, in steps of 1 mm, and approximate.",
@@ -364,7 +379,7 @@ def _time_weighed_decisions(found: Identification, rules: GoalRules, goals: Arra
 
 def _to_ms(timing: Timing) -> list[Value]:
     """Median and quartiles in ms."""
-    return [MS * seconds for seconds in timing]
+    return [MS_PER_S * seconds for seconds in timing]
 
 
 def _measure_batches(obj: GridObject, repetitions: int, announce: Announce) -> Table:
@@ -383,7 +398,9 @@ def _measure_batches(obj: GridObject, repetitions: int, announce: Announce) -> T
             work = partial(batch.simulate, params)
             fewer = max(3, repetitions // 10)
             times.append(measure(work, fewer, 1, process_time).median / len(pushes))
-        rows.append([each.name, each.n, *(MS * seconds for seconds in times), times[0] / times[1]])
+        rows.append(
+            [each.name, each.n, *(MS_PER_S * seconds for seconds in times), times[0] / times[1]]
+        )
     columns = ("object", "cells", "exact, ms a push", "approximate, ms a push", "ratio")
     note = (
         f"Processor time; {DRAWN_PUSHES} pushes of {DRAWN_LENGTH * 100:g} cm in steps of 1 mm, "
@@ -421,14 +438,14 @@ def _measure_start_up() -> Table:
 
 
 def _row(name: str, timing: Timing, ratio: float) -> list[Value]:
-    return [name, *(MS * seconds for seconds in timing), ratio]
+    return [name, *(MS_PER_S * seconds for seconds in timing), ratio]
 
 
 STUDY = Study(
     name="speed",
     help="Time a push and its gradient, the same push in MuJoCo, pushes of ever more cells, "
     "identifications, decisions and start-up.",
-    options=Options,
+    options=SpeedBenchOptions,
     measure=measure_all,
 )
 """`gridpush bench speed`."""

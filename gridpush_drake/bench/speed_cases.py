@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from shapely import LineString
 
+from gridpush_drake.bench.data.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.pregrasp.experiments import find_mask
-from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.dynamics.push import Push, make_path_times, make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush
 from gridpush_drake.dynamics.simulation import simulate
@@ -16,26 +16,26 @@ from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-DURATION = 2.0
+PUSH_DURATION = 2.0
 """Duration of the paper's push, s."""
 
-SPEED = 0.1
+PUSH_SPEED = 0.1
 """Speed of the paper's push, m/s."""
 
-RADIUS = 0.015
+DISC_RADIUS = 0.015
 """Radius of the disc that pushes in place of the paper's finger, m."""
 
-DT = 0.01
+PAPER_TIME_STEP = 0.01
 """Step of the paper's simulation, s."""
 
-PLACE = 0.7
+CONTACT_FRACTION = 0.7
 """Where along the object's width it is pushed, 0 to 1."""
 
-BAR = np.array([[0.0, 0.0], [0.22, 0.0], [0.22, 0.055], [0.0, 0.055]])
+BAR_OUTLINE = np.array([[0.0, 0.0], [0.22, 0.0], [0.22, 0.055], [0.0, 0.055]])
 """Outline of the object that is identified, m."""
 
-HEAD = 0.3
-"""Share of its cells that are heavy, at one end."""
+HEAVY_FRACTION = 0.3
+"""Fraction of its cells that are heavy, at one end."""
 
 HEAD_LOAD = 5.0
 """Mass of a heavy cell over that of another one."""
@@ -49,7 +49,7 @@ BAR_FRICTION = 0.35
 TIP_FRICTION = 0.3
 """Friction of the object against the pusher."""
 
-POKE = 0.06
+POKE_LENGTH = 0.06
 """Length of a poke, m."""
 
 POKE_SPEED = 0.03
@@ -61,7 +61,7 @@ POKE_SLANT = 0.4
 POKE_RADIUS = 0.01
 """Radius of the pusher of a poke, m."""
 
-OBSERVED = 10
+OBSERVED_POSE_COUNT = 10
 """Number of poses that are seen of each poke."""
 
 POSE_NOISE = (3e-4, 3e-4, 3e-3)
@@ -77,9 +77,9 @@ DRAWN_LENGTH = 0.1
 def make_bench_push(obj: GridObject) -> Push:
     """Makes the push of the measurement: upwards, from below, off the middle."""
     x0, y0, x1, y1 = obj.outline.bounds
-    x = x0 + PLACE * (x1 - x0)
+    x = x0 + CONTACT_FRACTION * (x1 - x0)
     bottom = obj.outline.intersection(LineString([(x, y0 - 1), (x, y1 + 1)])).bounds[1]
-    return Push((x, bottom - RADIUS), (0.0, SPEED), DURATION, RADIUS)
+    return Push((x, bottom - DISC_RADIUS), (0.0, PUSH_SPEED), PUSH_DURATION, DISC_RADIUS)
 
 
 def load_hammer(data: Path | None) -> GridObject:
@@ -93,19 +93,19 @@ def load_hammer(data: Path | None) -> GridObject:
 
 def make_bench_log(cells: int, pushes: int) -> tuple[GridObject, PushLog]:
     """Makes a bar with a heavy end, of about so many cells, and noisy pokes of it all around."""
-    obj = GridObject.from_outline(BAR, max_cells=cells)
-    mass = np.where(obj.p_BC[:, 0] < np.quantile(obj.p_BC[:, 0], HEAD), HEAD_LOAD, 1.0)
+    obj = GridObject.from_outline(BAR_OUTLINE, max_cells=cells)
+    mass = np.where(obj.p_BC[:, 0] < np.quantile(obj.p_BC[:, 0], HEAVY_FRACTION), HEAD_LOAD, 1.0)
     truth = CellParameters(BAR_MASS * mass / mass.sum(), np.full(obj.n, BAR_FRICTION), TIP_FRICTION)
     rng = np.random.default_rng(0)
     seen = []
     for i in range(pushes):
         place = rng.uniform(0, obj.edges.perimeter)
         angle = rng.uniform(-POKE_SLANT, POKE_SLANT)
-        push = Push.on_outline(obj, place, angle, POKE, radius=POKE_RADIUS, speed=POKE_SPEED)
-        times = np.linspace(0.0, push.duration, OBSERVED + 1)[1:]
+        push = Push.on_outline(obj, place, angle, POKE_LENGTH, radius=POKE_RADIUS, speed=POKE_SPEED)
+        times = np.linspace(0.0, push.duration, OBSERVED_POSE_COUNT + 1)[1:]
         steps = make_times_with(push, times, "quasi_static")
         motion = simulate(Model(obj, truth), push, regime="quasi_static", times=steps)
-        noise = rng.normal(0.0, POSE_NOISE, (OBSERVED, 3))
+        noise = rng.normal(0.0, POSE_NOISE, (OBSERVED_POSE_COUNT, 3))
         poses = motion.poses[np.searchsorted(steps, times)] + noise
         seen.append(ObservedPush(f"poke_{i}", push, np.zeros(3), times, poses))
     return obj, PushLog(tuple(seen))

@@ -2,7 +2,7 @@
 
 A `Study` says what its options are, which jobs they ask for, what is done with a job, and how the
 results are tabulated. Everything else is the same for all benches and is done here and in
-`bench.jobs`: the command line's options, the quick variant, the seeds, worker processes or a
+`jobs.run`: the command line's options, the quick variant, the seeds, worker processes or a
 cluster, results that are kept and found again, progress, interruption, tables and JSON.
 
 To add a study, write one file like `bench.grasp` and name it in `cli.bench.group.BENCHES`.
@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
-from gridpush_drake.bench.jobs import QUIET, Execution, Report, run_jobs
-from gridpush_drake.bench.table import Table
+from gridpush_drake.jobs.run import QUIET_EXECUTION, Execution, Report, run_jobs
+from gridpush_drake.report.table import Table
 
 
 def option(
@@ -58,14 +58,14 @@ def option(
     return field(default=default, metadata=metadata)
 
 
-OBJECTS: dict[str, Any] = {
+OBJECTS_OPTION: dict[str, Any] = {
     "text": "An object; may be repeated.",
     "metavar": "NAME",
     "shown": "all of the bench's",
 }
 """Arguments of `option` for the option of several benches that says which objects are measured."""
 
-MASKS: dict[str, Any] = {
+MASKS_OPTION: dict[str, Any] = {
     "text": "The paper's objects too: a clone of GitHub changkyu/rss2020_changkyu, or another "
     "folder of masks, NAME_label.pgm.",
     "name": "--data",
@@ -89,13 +89,13 @@ class StudyOptions:
     force: bool = option(False, is_setting=False)
 
 
-O = TypeVar("O", bound=StudyOptions)  # noqa: E741
+OptionsType = TypeVar("OptionsType", bound=StudyOptions)
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Task(Generic[Job, Result]):
+class JobKind(Generic[Job, Result]):
     """What is done with the jobs of one kind.
 
     Attributes:
@@ -120,17 +120,17 @@ class Done:
         """Takes each job with its result."""
         self.pairs = list(pairs)
 
-    def of(self, task: Task[Job, Result]) -> list[Result]:
+    def of(self, task: JobKind[Job, Result]) -> list[Result]:
         """Returns the results of one task."""
         return [result for _, result in self.list_pairs(task)]
 
-    def list_pairs(self, task: Task[Job, Result]) -> list[tuple[Job, Result]]:
+    def list_pairs(self, task: JobKind[Job, Result]) -> list[tuple[Job, Result]]:
         """Returns the jobs of one task, each with its result."""
         return [(job, result) for job, result in self.pairs if type(job) is task.job]
 
 
 @dataclass(frozen=True)
-class Study(Generic[O]):
+class Study(Generic[OptionsType]):
     """A bench.
 
     Attributes:
@@ -149,15 +149,18 @@ class Study(Generic[O]):
 
     name: str
     help: str
-    options: type[O]
-    tabulate: Callable[[O, Done], list[Table]] = lambda options, done: []
-    tasks: Sequence[Task[Any, Any]] = ()
-    make_jobs: Callable[[O], Sequence[Any]] = lambda options: ()
-    shorten: Callable[[O], O] = lambda options: options
-    measure: Callable[[O, Report | None], list[Table]] | None = None
+    options: type[OptionsType]
+    tabulate: Callable[[OptionsType, Done], list[Table]] = lambda options, done: []
+    tasks: Sequence[JobKind[Any, Any]] = ()
+    make_jobs: Callable[[OptionsType], Sequence[Any]] = lambda options: ()
+    shorten: Callable[[OptionsType], OptionsType] = lambda options: options
+    measure: Callable[[OptionsType, Report | None], list[Table]] | None = None
 
     def run(
-        self, options: O | None = None, execution: Execution = QUIET, **chosen: Any
+        self,
+        options: OptionsType | None = None,
+        execution: Execution = QUIET_EXECUTION,
+        **chosen: Any,
     ) -> list[Table]:
         """Runs the study.
 

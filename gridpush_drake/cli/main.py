@@ -14,21 +14,21 @@ from typing import Annotated, Any
 
 import typer
 
-from gridpush_drake.cli.interrupts import (
+from gridpush_drake.cli.shell.interrupts import (
     EXIT_INTERRUPTED,
     SIGNAL_CODES,
     say_interrupted,
     watch_interrupts,
 )
-from gridpush_drake.cli.lazy_group import LazyCommand, LazyGroup
-from gridpush_drake.cli.output import safe_output
-from gridpush_drake.cli.ros_args import ROS_ARGUMENTS, split_ros_arguments
+from gridpush_drake.cli.shell.lazy_group import LazyCommand, LazyGroup
+from gridpush_drake.cli.shell.output import safe_output
+from gridpush_drake.cli.shell.ros_args import ROS_ARGUMENTS, split_ros_arguments
 from gridpush_drake.errors import GridPushError, ObjectWarning, PushLogWarning
 
 EXIT_BAD_INPUT = 2
 """Exit code after bad input: an option, a file or a field that is not as expected."""
 
-DOUBTS = (ObjectWarning, PushLogWarning)
+USER_FILE_WARNINGS = (ObjectWarning, PushLogWarning)
 """Warnings about the user's own files. They are printed in one line; all others are left alone."""
 
 PLAIN_WORDS = {
@@ -41,90 +41,90 @@ PLAIN_WORDS = {
 """Patterns of Pydantic's messages about options, by which Typer checks their values, and what is
 said instead."""
 
-RENAMED = {"--nothing-told": "--unknown-inertia"}
+RENAMED_OPTIONS = {"--nothing-told": "--unknown-inertia"}
 """Options by their old names, which are taken with a warning for one more release."""
 
-LINKED = {"twin", "tracker", "robot"}
+LINK_COMMANDS = {"twin", "tracker", "robot"}
 """Commands that take arguments of ROS."""
 
-GRACEFUL = {"demo", "view", "twin", "tracker", "robot"}
+GRACEFUL_COMMANDS = {"demo", "view", "twin", "tracker", "robot"}
 """Commands that handle Ctrl-C themselves: they finish in order, and write what was done so far."""
 
 COMMANDS: dict[str, LazyCommand] = {
     "demo": LazyCommand(
-        "gridpush_drake.cli.demo:demo",
+        "gridpush_drake.cli.run.demo:demo",
         "Let a simulated robot learn an object by poking it, and then push or lift it.",
     ),
     "campaign": LazyCommand(
-        "gridpush_drake.cli.campaign:campaign",
+        "gridpush_drake.cli.run.campaign:campaign",
         "Run the demo many times, with many seeds and objects, and count how the runs ended.",
     ),
     "identify": LazyCommand(
-        "gridpush_drake.cli.identify:identify",
+        "gridpush_drake.cli.learn.identify:identify",
         "Learn from a log of pushes where an object is heavy and where it rubs.",
     ),
     "predict": LazyCommand(
-        "gridpush_drake.cli.predict:predict",
+        "gridpush_drake.cli.learn.predict:predict",
         "Predict where pushes take an object, and compare with where they really took it.",
     ),
     "simulate": LazyCommand(
-        "gridpush_drake.cli.simulate:simulate",
+        "gridpush_drake.cli.learn.simulate:simulate",
         "Simulate one push of an object or of a learned model.",
     ),
     "show": LazyCommand(
-        "gridpush_drake.cli.show:show",
+        "gridpush_drake.cli.view.show:show",
         "Draw a picture of an object, or of a learned model.",
     ),
     "plan": LazyCommand(
-        "gridpush_drake.cli.plan:plan",
+        "gridpush_drake.cli.run.plan:plan",
         "Plan pushes that bring an object to a goal pose.",
     ),
     "slide": LazyCommand(
-        "gridpush_drake.cli.slide:slide",
+        "gridpush_drake.cli.run.slide:slide",
         "Plan pushes that bring an object to the table's edge, so that it can be grasped there.",
     ),
     "export": LazyCommand(
-        "gridpush_drake.cli.export:export",
+        "gridpush_drake.cli.view.export:export",
         "Write an object or a learned model as a file for Drake (SDFormat, URDF) or MuJoCo (MJCF).",
     ),
     "view": LazyCommand(
-        "gridpush_drake.cli.view:view",
+        "gridpush_drake.cli.view.view:view",
         "Show a learned model, a log of pushes or a recording in the browser, or in Rerun.",
     ),
     "object": LazyCommand(
-        "gridpush_drake.cli.object:make_object",
+        "gridpush_drake.cli.camera.object:make_object",
         "Find the object in a photograph, and write an object file for it.",
     ),
     "calibrate": LazyCommand(
-        "gridpush_drake.cli.calibrate:calibrate",
+        "gridpush_drake.cli.camera.calibrate:calibrate",
         "Find where a camera is, and what camera it is, from photographs of a printed board.",
     ),
     "track": LazyCommand(
-        "gridpush_drake.cli.track:track",
+        "gridpush_drake.cli.camera.track:track",
         "Follow an object through a video, and write the pushes in it as a push log.",
     ),
     "record": LazyCommand(
-        "gridpush_drake.cli.record:record",
+        "gridpush_drake.cli.learn.record:record",
         "Cut a long recording of poses into pushes, and write them as a push log.",
     ),
     "twin": LazyCommand(
-        "gridpush_drake.cli.twin:twin",
+        "gridpush_drake.cli.run.twin:twin",
         "Simulate a robot that `gridpush robot` can move as if it were a real one.",
     ),
     "tracker": LazyCommand(
-        "gridpush_drake.cli.tracker:tracker",
+        "gridpush_drake.cli.run.tracker:tracker",
         "Find an object in a camera's pictures, and tell `gridpush robot` where it is.",
     ),
     "robot": LazyCommand(
-        "gridpush_drake.cli.robot:robot",
+        "gridpush_drake.cli.run.robot:robot",
         "Carry out a task of `gridpush demo` with a real arm. Nothing moves without --go.",
     ),
     "warm-up": LazyCommand(
-        "gridpush_drake.cli.warm_up:warm_up",
+        "gridpush_drake.cli.shell.warm_up:warm_up",
         "Compile the simulation to machine code now, so that no later command has to wait for it.",
     ),
     "import": LazyCommand(
-        "gridpush_drake.cli.import_logs:app",
+        "gridpush_drake.cli.learn.import_logs:app",
         "Convert a public data set or a ROS bag to a push log and an object file.",
     ),
     "bench": LazyCommand(
@@ -135,7 +135,7 @@ COMMANDS: dict[str, LazyCommand] = {
 """All commands, in the order in which `gridpush --help` lists them."""
 
 
-HELP = (
+MAIN_HELP = (
     "Learn where an object is heavy and where it rubs by pushing it, and predict where the next "
     "push takes it."
 )
@@ -151,7 +151,7 @@ class GridPushGroup(LazyGroup):
 app = typer.Typer(
     name="gridpush",
     cls=GridPushGroup,
-    help=HELP,
+    help=MAIN_HELP,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["--help", "-h"]},
@@ -202,7 +202,7 @@ def main(args: list[str] | None = None) -> None:
 def _run_watched(args: list[str] | None) -> int | None:
     """Runs the command line with its signals handled; returns the exit code, or None for 0."""
     first_word = sys.argv[1:2] if args is None else args[:1]
-    graceful = not GRACEFUL.isdisjoint(first_word)
+    graceful = not GRACEFUL_COMMANDS.isdisjoint(first_word)
     with watch_interrupts(last=args is None, graceful=graceful) as interrupts:
         try:
             code = _run(args)
@@ -222,8 +222,10 @@ def _run(args: list[str] | None) -> int | None:
     """Runs the command line; returns the exit code, or None for 0."""
     try:
         own, ros = split_ros_arguments(sys.argv[1:] if args is None else args)
-        if ros and LINKED.isdisjoint(own[:1]):
-            return _fail(f"--ros-args: expected one of {', '.join(sorted(LINKED))}, with --ros2")
+        if ros and LINK_COMMANDS.isdisjoint(own[:1]):
+            return _fail(
+                f"--ros-args: expected one of {', '.join(sorted(LINK_COMMANDS))}, with --ros2"
+            )
         ROS_ARGUMENTS.set(ros)
         own = _rename_options(own)
         with _short_warnings():
@@ -241,9 +243,9 @@ def _run(args: list[str] | None) -> int | None:
 
 def _rename_options(words: list[str]) -> list[str]:
     """Replaces old names of options by what they are called now, and warns of each."""
-    for old in RENAMED.keys() & set(words):
-        print(f"gridpush: warning: {old} is called {RENAMED[old]} now", file=sys.stderr)
-    return [RENAMED.get(word, word) for word in words]
+    for old in RENAMED_OPTIONS.keys() & set(words):
+        print(f"gridpush: warning: {old} is called {RENAMED_OPTIONS[old]} now", file=sys.stderr)
+    return [RENAMED_OPTIONS.get(word, word) for word in words]
 
 
 def _say_plainly(message: str) -> str:
@@ -260,10 +262,10 @@ def _short_warnings() -> Iterator[None]:
     It does so whatever filters for warnings the process has.
     """
     with warnings.catch_warnings():
-        for doubt in DOUBTS:
-            warnings.simplefilter("always", doubt)
+        for warning in USER_FILE_WARNINGS:
+            warnings.simplefilter("always", warning)
         show = warnings.showwarning
-        told = set[str]()
+        printed = set[str]()
 
         def print_short(
             message: Warning | str,
@@ -273,10 +275,10 @@ def _short_warnings() -> Iterator[None]:
             file: Any = None,
             line: str | None = None,
         ) -> None:
-            if not issubclass(category, DOUBTS):
+            if not issubclass(category, USER_FILE_WARNINGS):
                 show(message, category, filename, lineno, file, line)
-            elif str(message) not in told:
-                told.add(str(message))
+            elif str(message) not in printed:
+                printed.add(str(message))
                 print(f"gridpush: warning: {' '.join(str(message).split())}", file=sys.stderr)
 
         warnings.showwarning = print_short

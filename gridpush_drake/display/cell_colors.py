@@ -1,8 +1,9 @@
 """Cells' values as colors, on a scale that stays the same while an estimate improves.
 
-Shares are shown as ratios to the even share: a cell's mass as m_i n / sum(m), its relative friction
-as mu_i m_i n / sum(mu m). Colors follow the logarithm, u = log(value / low) / log(high / low) cut
-to 0..1, so that a quarter of the even share and four times as much lie equally far from the middle.
+Shares are shown as ratios to the even fraction: a cell's mass as m_i n / sum(m), its relative
+friction as mu_i m_i n / sum(mu m). Colors follow the logarithm, u = log(value / low) / log(high /
+low) cut to 0..1, so that a quarter of the even fraction and four times as much lie equally far from
+the middle.
 """
 
 from dataclasses import dataclass
@@ -18,13 +19,13 @@ from gridpush_drake.report.draw import CELL_MAP
 
 Shown = Literal["mass", "friction", "relative_friction"]
 
-SHOWN = ("mass", "friction", "relative_friction")
+COLORED_VALUES = ("mass", "friction", "relative_friction")
 """Values of cells that can be shown."""
 
-MIN_SHARE = 0.25
+MIN_FRACTION = 0.25
 """Lower end of the color scale of shares, in even shares."""
 
-MAX_SHARE = 4.0
+MAX_FRACTION = 4.0
 """Upper end of the color scale of shares, in even shares."""
 
 MIN_FRICTION = 0.1
@@ -41,7 +42,7 @@ class CellColors:
     Attributes:
         shows: "mass" or "relative_friction", in even shares, or "friction", as the coefficient.
         limits: (low, high) ends of the color map, beyond which colors stay the same; by default
-            MIN_SHARE and MAX_SHARE, or for "friction" MIN_FRICTION and MAX_FRICTION.
+            MIN_FRACTION and MAX_FRACTION, or for "friction" MIN_FRICTION and MAX_FRICTION.
         colormap: as matplotlib names it.
 
     Raises:
@@ -53,8 +54,10 @@ class CellColors:
     colormap: str = CELL_MAP
 
     def __post_init__(self) -> None:
-        if self.shows not in SHOWN:
-            raise StationError(f"shows is {self.shows!r}; expected one of {', '.join(SHOWN)}")
+        if self.shows not in COLORED_VALUES:
+            raise StationError(
+                f"shows is {self.shows!r}; expected one of {', '.join(COLORED_VALUES)}"
+            )
         if self.colormap not in colormaps:
             raise StationError(
                 f"colormap is {self.colormap!r}; expected one of matplotlib's, such as {CELL_MAP}"
@@ -67,7 +70,11 @@ class CellColors:
         """Finds the ends of the color map."""
         if self.limits is not None:
             return self.limits
-        return (MIN_FRICTION, MAX_FRICTION) if self.shows == "friction" else (MIN_SHARE, MAX_SHARE)
+        return (
+            (MIN_FRICTION, MAX_FRICTION)
+            if self.shows == "friction"
+            else (MIN_FRACTION, MAX_FRACTION)
+        )
 
     def calc_values(self, mass: ArrayLike, friction: ArrayLike) -> Array:
         """Calculates the values (n,) that are shown of cells.

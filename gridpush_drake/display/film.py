@@ -24,10 +24,10 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from gridpush_drake.errors import StationError
 from gridpush_drake.files import check_writable, read_text, write_whole
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+BROWSER_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 """Names of the programs that can draw a film, the first one preferred."""
 
-FLAGS = (
+BROWSER_FLAGS = (
     "--headless=new",
     "--no-sandbox",
     "--disable-dev-shm-usage",
@@ -45,37 +45,37 @@ FLAGS = (
 PAGE_TIME = 10_000
 """Longest time that the page may take by its own clock, ms."""
 
-PATIENCE = 600.0
+MAX_BROWSER_TIME = 600.0
 """Longest time that the browser may take by our clock, s."""
 
-SIZE = (720, 440)
+SCENE_SIZE = (720, 440)
 """Width and height of the scene, pixels; caption and legend are below it."""
 
-SECONDS = 12.0
+FILM_DURATION = 12.0
 """Length of a film, s; it plays as much faster than the recording as it is shorter."""
 
 FRAMES_PER_SECOND = 8
 """Number of pictures of a film in a second."""
 
-REST = 1.5
+LAST_PICTURE_TIME = 1.5
 """Time that the last picture stays, s."""
 
-GROUND = (0.925, 0.933, 0.945)
+BACKGROUND_COLOR = (0.925, 0.933, 0.945)
 """Color behind the scene, sRGB: one color, as a gradient would show in bands."""
 
-ZOOM = 1.25
+VIEW_ZOOM = 1.25
 """Factor by which the recording's view is drawn nearer."""
 
-PAPER = (255, 255, 255)
+PAPER_COLOR = (255, 255, 255)
 """Color below the scene, RGB."""
 
-TEXT = (35, 39, 46)
+TEXT_COLOR = (35, 39, 46)
 """Color of letters, RGB."""
 
-FRAME = (255, 255, 255)
+FRAME_COLOR = (255, 255, 255)
 """Color of the line about the close-up, RGB."""
 
-EDGE = 14
+CAPTION_MARGIN = 14
 """Room at the left and the right of caption and legend, pixels."""
 
 CAPTION_HEIGHT = 34
@@ -87,7 +87,7 @@ CAPTION_FONT = 18
 LEGEND_FONT = 13
 """Height of the legend's letters, pixels."""
 
-LINE = 18
+LINE_SPACING = 18
 """Distance from one line of the legend to the next, pixels."""
 
 SCALE_WIDTH = 250
@@ -96,7 +96,7 @@ SCALE_WIDTH = 250
 BAR_HEIGHT = 12
 """Height of the color scale's bar, pixels."""
 
-SYMBOL = (16, 10)
+SYMBOL_SIZE = (16, 10)
 """Width and height of the symbol before a line of the legend, pixels."""
 
 PALETTE_BITS = 6
@@ -112,14 +112,16 @@ PALETTE_ROUNDS = 3
 MOST_OF_ONE = 24
 """Largest weight of a color when the palette is chosen, however much of the film it fills."""
 
-DITHER = 5.0
+DITHER_AMPLITUDE = 5.0
 """Greatest change of a GIF's pixel, of 255, that lets two colors of the palette blend into one
 another. The pattern is the same in every picture, so what stands still does not flicker."""
 
-FLAT_SHARE = 0.05
-"""Share of a picture that a color must fill for nothing to be blended into it, as the ground."""
+FLAT_FRACTION = 0.05
+"""Fraction of a picture that a color must fill for nothing to be blended into it, as the ground."""
 
-BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 15 / 32
+BAYER_PATTERN = (
+    np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 15 / 32
+)
 """Pattern of the dither: B. E. Bayer's, 4 by 4, about zero."""
 
 WEBP_QUALITY = 70
@@ -128,19 +130,19 @@ WEBP_QUALITY = 70
 MAX_PAGE = 64_000_000
 """Largest size of a recording, bytes."""
 
-ENDINGS = (".gif", ".webp")
+FILM_SUFFIXES = (".gif", ".webp")
 """Endings of a film's name."""
 
-PHASES = re.compile(r"const phases = (\[.*\]);")
+PHASES_PATTERN = re.compile(r"const phases = (\[.*\]);")
 """Finds the list of phases in a page that `display.overlay` made."""
 
-LEGEND = re.compile(r"const legend_data = (\{.*\});")
+LEGEND_PATTERN = re.compile(r"const legend_data = (\{.*\});")
 """Finds the color scale and the marks in a page that `display.overlay` made."""
 
-FILM = re.compile(r'<pre id="film">(.*?)</pre>', re.DOTALL)
+FILM_PATTERN = re.compile(r'<pre id="film">(.*?)</pre>', re.DOTALL)
 """Finds the pictures in what the browser drew."""
 
-SCRIPT = Template("""<script>
+FILM_SCRIPT = Template("""<script>
 (() => {
   const timer = setInterval(() => {
     // the page reads its scene bit by bit after it was loaded
@@ -176,9 +178,10 @@ def check_film(path: Path | str, force: bool) -> None:
         OutputError: the file may not be written.
         StationError: its ending is of another kind, or there is no browser.
     """
-    if Path(path).suffix.lower() not in ENDINGS:
+    if Path(path).suffix.lower() not in FILM_SUFFIXES:
         raise StationError(
-            f"{path}: is of an unknown kind; expected a name that ends in {' or '.join(ENDINGS)}"
+            f"{path}: is of an unknown kind; expected a name that ends in "
+            f"{' or '.join(FILM_SUFFIXES)}"
         )
     check_writable(path, force)
     find_browser()
@@ -186,7 +189,7 @@ def check_film(path: Path | str, force: bool) -> None:
 
 def find_browser() -> str:
     """The path of a browser that draws pages. Raises StationError where there is none."""
-    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    found = next((path for name in BROWSER_NAMES if (path := shutil.which(name))), None)
     if found is None:
         raise StationError(
             "no browser is installed that draws the film; get one with apt-get install chromium"
@@ -195,7 +198,7 @@ def find_browser() -> str:
 
 
 def write_film(
-    recording: Path | str, path: Path | str, force: bool = False, *, seconds: float = SECONDS
+    recording: Path | str, path: Path | str, force: bool = False, *, seconds: float = FILM_DURATION
 ) -> None:
     """Makes a film of a recording.
 
@@ -212,7 +215,7 @@ def write_film(
     page = read_text(recording, "a recording", StationError, MAX_PAGE)
     duration, pictures = draw_frames(page, max(2, round(seconds * FRAMES_PER_SECOND)))
     phases = read_phases(page)
-    legend = draw_legend(read_legend(page), SIZE[0])
+    legend = draw_legend(read_legend(page), SCENE_SIZE[0])
     times = [duration * i / (len(pictures) - 1) for i in range(len(pictures) - 1)]
     times.append(math.inf)  # the last picture shows what was done last
     frames = [
@@ -236,28 +239,32 @@ def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
         StationError: there is no browser, or it drew nothing.
     """
     head, body, tail = page.rpartition("</body>")
-    script = SCRIPT.substitute(
-        width=SIZE[0], height=SIZE[1], zoom=ZOOM, count=count, ground=list(GROUND)
+    script = FILM_SCRIPT.substitute(
+        width=SCENE_SIZE[0],
+        height=SCENE_SIZE[1],
+        zoom=VIEW_ZOOM,
+        count=count,
+        ground=list(BACKGROUND_COLOR),
     )
     with tempfile.TemporaryDirectory(prefix="gridpush-film-", ignore_cleanup_errors=True) as folder:
         held = Path(folder) / "page.html"
         held.write_text(f"{head}{script}{body}{tail}", encoding="utf-8")
         command = [
             find_browser(),
-            *FLAGS,
+            *BROWSER_FLAGS,
             f"--user-data-dir={folder}/profile",
-            f"--window-size={SIZE[0]},{SIZE[1]}",
+            f"--window-size={SCENE_SIZE[0]},{SCENE_SIZE[1]}",
             f"--virtual-time-budget={PAGE_TIME}",
             "--dump-dom",
             held.as_uri(),
         ]
         try:
             done = subprocess.run(
-                command, capture_output=True, text=True, timeout=PATIENCE, check=False
+                command, capture_output=True, text=True, timeout=MAX_BROWSER_TIME, check=False
             )
         except subprocess.TimeoutExpired as error:
-            raise StationError(f"the browser drew no film within {PATIENCE:g} s") from error
-    found = FILM.search(done.stdout)
+            raise StationError(f"the browser drew no film within {MAX_BROWSER_TIME:g} s") from error
+    found = FILM_PATTERN.search(done.stdout)
     if found is None:
         raise StationError(
             "the browser drew no film of the recording; expected a page that Meshcat wrote"
@@ -273,7 +280,7 @@ def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
 
 def read_phases(page: str) -> list[tuple[float, str]]:
     """What is being done from which time on, s; nothing where the page has no such list."""
-    found = PHASES.search(page)
+    found = PHASES_PATTERN.search(page)
     return [(float(time), str(title)) for time, title, *_ in json.loads(found[1])] if found else []
 
 
@@ -289,18 +296,18 @@ def read_legend(page: str) -> dict[str, Any]:
     Returns:
         "scale" (title, colors and ticks, or None) and "marks"; both empty where there is no legend.
     """
-    found = LEGEND.search(page)
+    found = LEGEND_PATTERN.search(page)
     return dict(json.loads(found[1])) if found else {"scale": None, "marks": []}
 
 
 def add_strip(picture: Image.Image, words: str, legend: Image.Image | None = None) -> Image.Image:
     """Writes words below a picture, and draws a legend below them."""
     height = picture.height + CAPTION_HEIGHT + (legend.height if legend else 0)
-    framed = Image.new("RGB", (picture.width, height), PAPER)
+    framed = Image.new("RGB", (picture.width, height), PAPER_COLOR)
     framed.paste(picture)
-    place = (EDGE, picture.height + CAPTION_HEIGHT // 2)
+    place = (CAPTION_MARGIN, picture.height + CAPTION_HEIGHT // 2)
     font = ImageFont.load_default(CAPTION_FONT)
-    ImageDraw.Draw(framed).text(place, words, TEXT, font, anchor="lm")
+    ImageDraw.Draw(framed).text(place, words, TEXT_COLOR, font, anchor="lm")
     if legend is not None:
         framed.paste(legend, (0, picture.height + CAPTION_HEIGHT))
     return framed
@@ -321,32 +328,35 @@ def draw_legend(legend: dict[str, Any], width: int) -> Image.Image | None:
     if scale is None and not marks:
         return None
     lines = max(len(marks), 3)  # the scale takes three
-    picture = Image.new("RGB", (width, LINE * lines + EDGE // 2), PAPER)
+    picture = Image.new("RGB", (width, LINE_SPACING * lines + CAPTION_MARGIN // 2), PAPER_COLOR)
     drawing = ImageDraw.Draw(picture)
     font = ImageFont.load_default(LEGEND_FONT)
-    left = EDGE
+    left = CAPTION_MARGIN
     if scale is not None:
         _draw_scale(drawing, font, scale)
-        left += SCALE_WIDTH + 3 * EDGE
+        left += SCALE_WIDTH + 3 * CAPTION_MARGIN
     for i, mark in enumerate(marks):
-        place = (left, LINE // 2 + LINE * i)
+        place = (left, LINE_SPACING // 2 + LINE_SPACING * i)
         _draw_symbol(drawing, place, mark)
-        words = (place[0] + SYMBOL[0] + 6, place[1])
-        drawing.text(words, mark["text"], TEXT, font, anchor="lm")
+        words = (place[0] + SYMBOL_SIZE[0] + 6, place[1])
+        drawing.text(words, mark["text"], TEXT_COLOR, font, anchor="lm")
     return picture
 
 
 def _draw_scale(drawing: ImageDraw.ImageDraw, font: Any, scale: dict[str, Any]) -> None:
     """Draws the title, the bar of colors, and the values below it."""
-    drawing.text((EDGE, LINE // 2), scale["title"], TEXT, font, anchor="lm")
+    drawing.text((CAPTION_MARGIN, LINE_SPACING // 2), scale["title"], TEXT_COLOR, font, anchor="lm")
     colors = np.array([ImageColor.getrgb(color) for color in scale["colors"]])
     for x in range(SCALE_WIDTH):
         at = x / (SCALE_WIDTH - 1) * (len(colors) - 1)
         color = [np.interp(at, range(len(colors)), channel) for channel in colors.T]
-        drawing.line([EDGE + x, LINE, EDGE + x, LINE + BAR_HEIGHT], tuple(map(round, color)))
+        drawing.line(
+            [CAPTION_MARGIN + x, LINE_SPACING, CAPTION_MARGIN + x, LINE_SPACING + BAR_HEIGHT],
+            tuple(map(round, color)),
+        )
     for place, words in scale["ticks"]:
-        spot = (EDGE + place * (SCALE_WIDTH - 1), LINE + BAR_HEIGHT + 4)
-        drawing.text(spot, words, TEXT, font, anchor="la" if place == 0 else "ma")
+        spot = (CAPTION_MARGIN + place * (SCALE_WIDTH - 1), LINE_SPACING + BAR_HEIGHT + 4)
+        drawing.text(spot, words, TEXT_COLOR, font, anchor="la" if place == 0 else "ma")
 
 
 def _draw_symbol(
@@ -354,7 +364,7 @@ def _draw_symbol(
 ) -> None:
     """Draws a dot, a line or an area in a mark's color; `place` is the middle of its left side."""
     x, y = place
-    width, height = SYMBOL
+    width, height = SYMBOL_SIZE
     color = ImageColor.getrgb(mark["color"])
     if mark["kind"] == "dot":
         radius = height // 2
@@ -374,12 +384,14 @@ def _frame_inset(picture: Image.Image, inset: dict[str, float]) -> None:
     right = left + round(inset["wide"])
     bottom = top + round(inset["high"])
     edges = [left - 2, top - 2, right + 1, bottom + 1]
-    ImageDraw.Draw(picture).rectangle(edges, outline=FRAME, width=2)
+    ImageDraw.Draw(picture).rectangle(edges, outline=FRAME_COLOR, width=2)
 
 
 def _pack(frames: Sequence[Image.Image], kind: str) -> bytes:
     """The film's bytes: it begins anew when it is over."""
-    lasts = [round(1000 / FRAMES_PER_SECOND)] * (len(frames) - 1) + [round(1000 * REST)]
+    lasts = [round(1000 / FRAMES_PER_SECOND)] * (len(frames) - 1) + [
+        round(1000 * LAST_PICTURE_TIME)
+    ]
     options: dict[str, Any] = {"save_all": True, "duration": lasts, "loop": 0}
     buffer = BytesIO()
     if kind == ".webp":
@@ -417,11 +429,11 @@ def _blend(frame: Image.Image) -> Image.Image:
     """Adds the dither's pattern to a picture, but not to where one color fills much of it."""
     pixels = np.asarray(frame).astype(np.float64)
     height, width, _ = pixels.shape
-    tiles = (height // len(BAYER) + 1, width // len(BAYER) + 1)
-    pattern = np.tile(BAYER, tiles)[:height, :width, None]
+    tiles = (height // len(BAYER_PATTERN) + 1, width // len(BAYER_PATTERN) + 1)
+    pattern = np.tile(BAYER_PATTERN, tiles)[:height, :width, None]
     known, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
     flat = np.zeros((height, width, 1), dtype=bool)
-    for color in known[counts > FLAT_SHARE * height * width]:
+    for color in known[counts > FLAT_FRACTION * height * width]:
         flat |= (pixels == color).all(axis=-1, keepdims=True)
-    blended = pixels + np.where(flat, 0.0, DITHER * pattern)
+    blended = pixels + np.where(flat, 0.0, DITHER_AMPLITUDE * pattern)
     return Image.fromarray(np.clip(np.round(blended), 0, 255).astype(np.uint8))

@@ -37,13 +37,13 @@ from gridpush_drake.errors import StationError
 FIRST_PORT = 7000
 """The first port that is tried where none is asked for."""
 
-PAGES = ("/", "/index.html", "/meshcat.html")
+PAGE_PATHS = ("/", "/index.html", "/meshcat.html")
 """Under which Meshcat gives out its page."""
 
-TIMEOUT = 10.0
+SERVER_TIMEOUT = 10.0
 """Longest time that Meshcat's own server may take to answer, s."""
 
-CHUNK = 65536
+CHUNK_SIZE = 65536
 """Bytes passed on at a time."""
 
 
@@ -97,7 +97,9 @@ class LivePage:
         Raises:
             OSError: the server has no such file.
         """
-        with urlopen(f"http://localhost:{self.meshcat_port}{path}", timeout=TIMEOUT) as answer:
+        with urlopen(
+            f"http://localhost:{self.meshcat_port}{path}", timeout=SERVER_TIMEOUT
+        ) as answer:
             return answer.headers.get("Content-Type", "text/html"), answer.read()
 
 
@@ -134,7 +136,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._pass_on()
             return
         try:
-            if urlsplit(self.path).path in PAGES:
+            if urlsplit(self.path).path in PAGE_PATHS:
                 kind = "text/html; charset=utf-8"
                 content = self.page.read_page().encode()
             else:
@@ -156,7 +158,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Connects the browser with Meshcat's own server, both ways, until one of them goes."""
         self.close_connection = True
         head = "".join(f"{name}: {value}\r\n" for name, value in self.headers.items())
-        meshcat = socket.create_connection(("localhost", self.page.meshcat_port), TIMEOUT)
+        meshcat = socket.create_connection(("localhost", self.page.meshcat_port), SERVER_TIMEOUT)
         with meshcat:
             meshcat.settimeout(None)
             meshcat.sendall(f"GET {self.path} HTTP/1.1\r\n{head}\r\n".encode("latin-1"))
@@ -169,7 +171,7 @@ class _Handler(BaseHTTPRequestHandler):
 def _pour(source: socket.socket, sink: socket.socket) -> None:
     """Passes on what comes from one end to the other, until either is closed; then closes both."""
     with contextlib.suppress(OSError):
-        while chunk := source.recv(CHUNK):
+        while chunk := source.recv(CHUNK_SIZE):
             sink.sendall(chunk)
     for end in (source, sink):
         with contextlib.suppress(OSError):

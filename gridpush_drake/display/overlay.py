@@ -23,37 +23,34 @@ from matplotlib.colors import to_hex
 from pydrake.geometry import Rgba
 
 from gridpush_drake.display.cell_colors import CellColors
-from gridpush_drake.display.shapes import CENTER_COLOR, PLAN_COLOR, SIGMAS
+from gridpush_drake.display.shapes import CENTER_COLOR, ELLIPSE_SIGMAS, PLAN_COLOR
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.units import KG_PER_GRAM, PERCENT_PER_ONE
 
 PAGE_END = "</body>"
 """Tag before which the overlay is inserted, where it stands last in a page."""
 
-PERCENT = 100.0
-"""Percent in the whole."""
 
 SCALE_COLORS = 17
 """Number of colors of a scale; the page blends between them."""
 
-TICKS = 5
+TICK_COUNT = 5
 """Number of values beside a scale."""
 
-GRAM = 1e-3
-"""Kilograms in a gram."""
 
-DIGITS = 2
+SCALE_DIGITS = 2
 """Number of digits of a value beside a scale."""
 
 CAPTION_PATH = "caption"
 """Path in Meshcat whose `userData` is the list of phases of a live page (`encode_phases`)."""
 
-CLOSE_UP_SHARE = 1.5
+CLOSE_UP_FRACTION = 1.5
 """Distance of a close-up's camera, in diagonals of the object's outline."""
 
-ROOT = "drake"
+MESHCAT_ROOT = "drake"
 """Path below which Meshcat puts every path that does not begin with a slash."""
 
-TEMPLATE = "overlay.html"
+OVERLAY_TEMPLATE = "overlay.html"
 """File with the overlay's script and style."""
 
 
@@ -139,24 +136,25 @@ class Overlay:
 def make_color_scale(objects: Sequence[GridObject], colors: CellColors) -> ColorScale:
     """Makes the scale of the colors of objects' cells.
 
-    It is by mass in g for a single object that was weighed, else in shares of the even mass, which
-    is another one for each object.
+    It is by mass in g for a single object that was weighed, else in fractions of the even mass,
+    which is another one for each object.
     """
     low, high = colors.resolve_limits()
     values = np.geomspace(low, high, SCALE_COLORS)
-    places = np.linspace(0.0, 1.0, TICKS)
-    shown = np.geomspace(low, high, TICKS)
+    places = np.linspace(0.0, 1.0, TICK_COUNT)
+    shown = np.geomspace(low, high, TICK_COUNT)
     total_mass = objects[0].prior.total_mass if len(objects) == 1 else None
     if colors.shows == "friction":
         title = "friction coefficient of a cell"
     elif colors.shows == "mass" and total_mass is not None:
         title = "estimated mass of a cell, g"
-        shown = shown * total_mass / objects[0].n / GRAM
+        shown = shown * total_mass / objects[0].n / KG_PER_GRAM
     else:
         what = "mass" if colors.shows == "mass" else "friction force"
         title = f"estimated {what} of a cell, in even shares"
     ticks = tuple(
-        (float(place), f"{value:.{DIGITS}g}") for place, value in zip(places, shown, strict=True)
+        (float(place), f"{value:.{SCALE_DIGITS}g}")
+        for place, value in zip(places, shown, strict=True)
     )
     return ColorScale(title, tuple(map(to_hex, colors.calc_colors_of(values))), ticks)
 
@@ -169,14 +167,16 @@ def make_close_up(obj: GridObject, path: str) -> CloseUp:
         path: where it is drawn, in Meshcat.
     """
     x0, y0, x1, y1 = obj.outline.bounds
-    return CloseUp(path, CLOSE_UP_SHARE * float(np.hypot(x1 - x0, y1 - y0)))
+    return CloseUp(path, CLOSE_UP_FRACTION * float(np.hypot(x1 - x0, y1 - y0)))
 
 
 def list_center_marks() -> tuple[Mark, ...]:
     """Lists the marks of the estimated center of mass."""
     return (
         Mark(to_css(CENTER_COLOR), "estimated center of mass", "dot"),
-        Mark(to_css(CENTER_COLOR), f"where it may be, {SIGMAS:g} standard deviations", "line"),
+        Mark(
+            to_css(CENTER_COLOR), f"where it may be, {ELLIPSE_SIGMAS:g} standard deviations", "line"
+        ),
     )
 
 
@@ -210,7 +210,7 @@ def add_overlay(page: str, overlay: Overlay) -> str:
 
 def make_overlay_html(overlay: Overlay) -> str:
     """Makes the overlay as a piece of HTML with its style and its script."""
-    text = files("gridpush_drake.display").joinpath(TEMPLATE).read_text(encoding="utf-8")
+    text = files("gridpush_drake.display").joinpath(OVERLAY_TEMPLATE).read_text(encoding="utf-8")
     legend: dict[str, Any] = {"scale": None, "marks": [vars(mark) for mark in overlay.marks]}
     if overlay.scale is not None:
         legend["scale"] = vars(overlay.scale)
@@ -233,7 +233,7 @@ def _list_phases(phases: Sequence[Phase]) -> list[list[float | str]]:
 
 def _split_path(path: str) -> list[str]:
     """The names along a path in Meshcat."""
-    whole = path if path.startswith("/") else f"{ROOT}/{path}"
+    whole = path if path.startswith("/") else f"{MESHCAT_ROOT}/{path}"
     return [name for name in whole.split("/") if name]
 
 
@@ -257,7 +257,7 @@ def _describe_legend(scale: ColorScale | None, marks: Sequence[Mark]) -> str:
 def _describe_scale(scale: ColorScale) -> str:
     """Writes a color scale as HTML: its title, its bar, and the values below it."""
     ticks = "".join(
-        f'<span style="left:{PERCENT * place:.1f}%">{escape(text)}</span>'
+        f'<span style="left:{PERCENT_PER_ONE * place:.1f}%">{escape(text)}</span>'
         for place, text in scale.ticks
     )
     gradient = f"linear-gradient(to right, {', '.join(map(escape, scale.colors))})"

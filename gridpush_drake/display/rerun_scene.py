@@ -1,7 +1,8 @@
 """`RerunScene`: an object, a finger and what is known of them, as the Rerun viewer shows them.
 
-It needs the package `rerun-sdk`. What is shown when is decided elsewhere: `station.rerun_view`
-shows a run while it goes on, `cli.view_rerun` a model, a log or a recording. The entities are
+It needs the package `rerun-sdk`. What is shown when is decided elsewhere:
+`station.recording.rerun_view` shows a run while it goes on, `cli.view.view_rerun` a model, a log or
+a recording. The entities are
 
     world/object                      where the object is
     world/object/cells                its cells, in colors
@@ -24,26 +25,25 @@ from gridpush_drake.extras import import_extra
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
+from gridpush_drake.units import MM_PER_M
 
-LIVE = "live"
+LIVE_VIEWER = "live"
 """In the place of a file: the viewer is started, and shows everything at once."""
 
-RECORDING = ".rrd"
+RECORDING_SUFFIX = ".rrd"
 """Ending of the name of a file for the viewer."""
 
-APPLICATION = "gridpush"
+APPLICATION_NAME = "gridpush"
 """Name under which the viewer keeps what it shows."""
 
-TIMELINE = "time"
+TIMELINE_NAME = "time"
 """Name of the time in the viewer, s."""
 
-MILLIMETERS = 1e3
-"""Millimeters in a meter."""
 
 ELLIPSE_POINTS = 48
 """Corners of the polygon that stands for an ellipse."""
 
-DEVIATIONS = 2.0
+ELLIPSE_SIGMAS = 2.0
 """Standard deviations out to which the ellipse reaches."""
 
 CELL_HEIGHT = 0.004
@@ -75,15 +75,16 @@ class RerunScene:
             OutputError: the file has a name of another form, cannot be written, or exists.
         """
         self._path: Path | None = None
-        if target != LIVE:
+        if target != LIVE_VIEWER:
             # The viewer tells what is in a file by the ending of its name
-            if Path(target).suffix != RECORDING:
+            if Path(target).suffix != RECORDING_SUFFIX:
                 raise OutputError(
-                    f"--rerun: is {target!r}; expected {LIVE}, or a name that ends with {RECORDING}"
+                    f"--rerun: is {target!r}; expected {LIVE_VIEWER}, or a name that ends with "
+                    f"{RECORDING_SUFFIX}"
                 )
             self._path = check_writable(Path(target), force)
         self._rr = import_extra("rerun", "rerun")
-        self._stream = self._rr.RecordingStream(APPLICATION)
+        self._stream = self._rr.RecordingStream(APPLICATION_NAME)
         self._force = force
         # Rerun's own writer waits for ever if the disk is full, so that a file is made in memory
         self._memory = None
@@ -95,7 +96,7 @@ class RerunScene:
 
     def set_time(self, time: float) -> None:
         """Says when all that is shown from now on is so, s."""
-        self._stream.set_time(TIMELINE, duration=time)
+        self._stream.set_time(TIMELINE_NAME, duration=time)
 
     def show_tip(self, p_WP: Array, radius: float) -> None:
         """Shows the finger's tip as a ball at p_WP (3,), m, of a radius, m."""
@@ -160,8 +161,8 @@ class RerunScene:
         if entity != "world/object":
             return
         x_std, y_std = np.sqrt(np.diag(covariance))
-        self.plot("known/center_of_mass_x_mm", MILLIMETERS * float(x_std))
-        self.plot("known/center_of_mass_y_mm", MILLIMETERS * float(y_std))
+        self.plot("known/center_of_mass_x_mm", MM_PER_M * float(x_std))
+        self.plot("known/center_of_mass_y_mm", MM_PER_M * float(y_std))
 
     def show_estimate(
         self, found: Identification, colors: Array, entity: str = "world/object"
@@ -240,8 +241,8 @@ def lift(points: Array, height: float) -> Array:
 
 
 def calc_ellipse(center: Array, covariance: Array) -> Array:
-    """The closed polygon (k, 2) about a center (2,) out to `DEVIATIONS` of a covariance (2, 2)."""
+    """A closed polygon (k, 2) about a center (2,), at `ELLIPSE_SIGMAS` of a covariance (2, 2)."""
     values, vectors = np.linalg.eigh(covariance)
     angles = np.linspace(0.0, 2 * np.pi, ELLIPSE_POINTS + 1)
     circle = np.column_stack([np.cos(angles), np.sin(angles)])
-    return center + DEVIATIONS * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return center + ELLIPSE_SIGMAS * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

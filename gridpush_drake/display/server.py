@@ -33,11 +33,11 @@ table, a little to the left."""
 CAMERA_ELEVATION = 0.85
 """Angle above the table at which the camera stands as seen from its target, rad."""
 
-MARK = b"<title>Drake MeshCat</title>"
+MESHCAT_MARK = b"<title>Drake MeshCat</title>"
 """Text that stands in every page of Meshcat."""
 
 MARK_ROOM = 4096
-"""Number of bytes at the beginning of a page within which `MARK` stands."""
+"""Number of bytes at the beginning of a page within which `MESHCAT_MARK` stands."""
 
 BACKGROUND_TOP = (0.97, 0.975, 0.98)
 """Color of the background's upper end, sRGB, 0 to 1."""
@@ -45,7 +45,7 @@ BACKGROUND_TOP = (0.97, 0.975, 0.98)
 BACKGROUND_BOTTOM = (0.80, 0.82, 0.85)
 """Color of the background's lower end, sRGB, 0 to 1."""
 
-LIGHTS = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX": 14.0}
+LIGHT_INTENSITIES = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX": 14.0}
 """Intensities of lights that show a horizontal face near the origin in its own color. Meshcat's own
 make it a third brighter."""
 
@@ -125,7 +125,7 @@ def KeepToItsThread(meshcat: Meshcat) -> None:
 
 def ApplySceneStyle(meshcat: Meshcat) -> None:
     """Gives a scene a light background and even light, and takes its grid and axes away."""
-    for light, intensity in LIGHTS.items():
+    for light, intensity in LIGHT_INTENSITIES.items():
         meshcat.SetProperty(f"/Lights/{light}/<object>", "intensity", intensity)
     meshcat.SetProperty("/Background", "top_color", list(BACKGROUND_TOP))
     meshcat.SetProperty("/Background", "bottom_color", list(BACKGROUND_BOTTOM))
@@ -185,7 +185,7 @@ def write_recording(
 
 def looks_like_recording(path: Path | str) -> bool:
     """Whether a file is a page that Meshcat wrote; False where it cannot be read."""
-    return MARK in read_head(path, MARK_ROOM)
+    return MESHCAT_MARK in read_head(path, MARK_ROOM)
 
 
 def _hold_others(phase: str, _: dict[str, int]) -> None:

@@ -25,7 +25,7 @@ from gridpush_drake.geometry.outline_mesh import triangulate_area
 from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject
 
-CELL_SHARE = 0.94
+CELL_FRACTION = 0.94
 """Side of a drawn cell, in cells; the rest is the gap that lets cells be told apart."""
 
 CIRCLE_SIDES = 48
@@ -38,19 +38,19 @@ MIN_LENGTH = 1e-5
 """Smallest length of a drawn arrow, m."""
 
 
-def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) -> Trimesh:
+def make_cell_prisms(obj: GridObject, height: float, fraction: float = CELL_FRACTION) -> Trimesh:
     """Makes a prism for each cell, standing on the plane z = 0 of the body frame, open below.
 
     Args:
         obj: the object.
         height: height of the prisms, m.
-        share: their sides, in sides of a cell.
+        fraction: their sides, in sides of a cell.
 
     Returns:
         A mesh whose 8 n vertices come by corner, then by cell: the first n are all cells' first
         corners.
     """
-    half = share * obj.cell_size / 2
+    half = fraction * obj.cell_size / 2
     low = [-half, -half, 0.0]
     high = [half, half, height]
     box = _drop_floor(trimesh.creation.box(bounds=[low, high]))
@@ -163,13 +163,13 @@ def _make_ellipse(covariance: ArrayLike, center: ArrayLike, margin: float = 0.0)
     return Polygon(np.asarray(center, dtype=np.float64) + (circle * axes) @ vectors.T)
 
 
-VISIBLE = "visible"
+VISIBLE_PROPERTY = "visible"
 """Property of a path in Meshcat."""
 
 CENTER_COLOR = Rgba(0.93, 0.07, 0.42)
 """Color of the center of mass and its ellipse; no color of viridis comes near it."""
 
-SIGMAS = 2.0
+ELLIPSE_SIGMAS = 2.0
 """Half axes of an ellipse, in standard deviations."""
 
 PLAN_COLOR = Rgba(0.93, 0.38, 0.05)
@@ -187,13 +187,13 @@ RING_WIDTH = 0.0018
 ARROW_WIDTH = 0.005
 """Width of the shaft of a push's arrow, m."""
 
-LAYER = 0.001
+LAYER_DISTANCE = 0.001
 """Distance between things that are drawn one over the other, m."""
 
 EDGE_WIDTH = 0.0015
 """Width of a ghost's upper edge, m."""
 
-GHOST_SHARE = 0.97
+GHOST_FRACTION = 0.97
 """Height of a ghost, in heights of its object, whose own top then covers it where the two meet."""
 
 
@@ -220,7 +220,7 @@ def AddCells(
 def AddCenter(
     meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayLike, height: float
 ) -> None:
-    """Draws an estimated point and its ellipse of `SIGMAS` standard deviations, flat.
+    """Draws an estimated point and its ellipse of `ELLIPSE_SIGMAS` standard deviations, flat.
 
     A dot is drawn at `path`/dot, and the ellipse's edge at `path`/edge. The ellipse is not filled:
     whatever lies over cells, however faint, gives them colors that mean other values.
@@ -234,14 +234,14 @@ def AddCenter(
     """
     if not np.isfinite(center).all():
         return
-    dot = make_disc(CENTER_RADIUS**2 * np.eye(2), center, height + 2 * LAYER)
+    dot = make_disc(CENTER_RADIUS**2 * np.eye(2), center, height + 2 * LAYER_DISTANCE)
     _AddMesh(meshcat, f"{path}/dot", dot, CENTER_COLOR)
-    spread = SIGMAS**2 * np.asarray(covariance, dtype=np.float64)
+    spread = ELLIPSE_SIGMAS**2 * np.asarray(covariance, dtype=np.float64)
     if np.isfinite(spread).all() and spread.any():
         _AddMesh(
             meshcat,
             f"{path}/edge",
-            make_ring(spread, center, height + LAYER, RING_WIDTH),
+            make_ring(spread, center, height + LAYER_DISTANCE, RING_WIDTH),
             CENTER_COLOR,
         )
 
@@ -257,10 +257,10 @@ def AddGhost(
     _AddMesh(
         meshcat,
         f"{path}/body",
-        make_outline_prism(obj, GHOST_SHARE * height),
+        make_outline_prism(obj, GHOST_FRACTION * height),
         _fade(color, GHOST_OPACITY),
     )
-    edge = make_outline_edge(obj, height + LAYER / 2, EDGE_WIDTH)
+    edge = make_outline_edge(obj, height + LAYER_DISTANCE / 2, EDGE_WIDTH)
     _AddMesh(meshcat, f"{path}/edge", edge, color)
 
 
@@ -302,12 +302,12 @@ def SwapVisible(
     if time < begin:
         begin = time
     if shown is not None:
-        meshcat.SetProperty(shown, VISIBLE, False, begin)
+        meshcat.SetProperty(shown, VISIBLE_PROPERTY, False, begin)
     if hidden is not None:
-        meshcat.SetProperty(hidden, VISIBLE, True, max(begin, time - max(period, frame)))
-        meshcat.SetProperty(hidden, VISIBLE, False, time)
+        meshcat.SetProperty(hidden, VISIBLE_PROPERTY, True, max(begin, time - max(period, frame)))
+        meshcat.SetProperty(hidden, VISIBLE_PROPERTY, False, time)
     if shown is not None:
-        meshcat.SetProperty(shown, VISIBLE, True, time)
+        meshcat.SetProperty(shown, VISIBLE_PROPERTY, True, time)
 
 
 def MakePlanarTransform(pose: ArrayLike, height: float = 0.0) -> RigidTransform:

@@ -22,7 +22,7 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-T = TypeVar("T")
+ValueType = TypeVar("ValueType")
 
 DEFAULT_PAIR_FRICTION = 0.3
 """Friction coefficient of two objects against each other that is taken where none is given."""
@@ -221,7 +221,7 @@ def describe_object(objects: Sequence[GridObject], index: int) -> str:
     return name if same == 1 else f"{name} (object {index})"
 
 
-def _make_tuple(name: str, given: Any, kind: type[T]) -> tuple[T, ...]:
+def _make_tuple(name: str, given: Any, kind: type[ValueType]) -> tuple[ValueType, ...]:
     """Makes a tuple of one or several values, each of a certain kind."""
     if isinstance(given, kind):
         return (given,)

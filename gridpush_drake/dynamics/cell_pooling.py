@@ -14,26 +14,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.pooled_loads import FIRST, LAST, NEXT, Pool
+from gridpush_drake.dynamics.kernels.friction.pooled_loads import FIRST, LAST, NEXT, Pool
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
 
 POOLED_FROM = 1000
 """Least number of cells that are pooled."""
 
-NODES = 5
+BOX_NODES = 5
 """Nodes along each side of a box."""
 
-FAR = 3.0
+FAR_BOX_FACTOR = 3.0
 """A box is far from the center of rotation where it is this many half diagonals away."""
 
-SMALLEST = 40
+MIN_BOX_CELLS = 40
 """Number of cells up to which a box has no parts."""
 
-SIDES = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+QUARTER_SIDES = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 """On which side of the middle of a box its four quarters lie, in x and y."""
 
-SLACK = 3.0
+MAX_CENTER_MOTION = 3.0
 """How far the center of rotation may move until points are gathered anew, in cells."""
 
 
@@ -111,7 +111,7 @@ class CellPooling:
         """Brings loads (n,), N, to the nodes."""
         loads = k[self.order]
         nodes = self.nodes.copy()
-        at_nodes = np.zeros((len(self.boxes), NODES**2))
+        at_nodes = np.zeros((len(self.boxes), BOX_NODES**2))
         at_nodes[self.smallest] = np.add.reduceat(loads[:, None] * self.weights, self.first)
         for transfer in self.transfers:
             at_nodes[transfer.above] += at_nodes[transfer.parts] @ transfer.weights
@@ -121,24 +121,24 @@ class CellPooling:
             places=self.places,
             nodes=nodes,
             cells=np.vstack([self.cells, loads]),
-            far=FAR,
+            far=FAR_BOX_FACTOR,
             slack=self.slack,
-            points=np.empty((3, len(k) + NODES**2)),
+            points=np.empty((3, len(k) + BOX_NODES**2)),
             last=np.zeros(4),
         )
 
 
 def _find_nodes() -> Array:
-    """The nodes (NODES,) of Chebyshev between -1 and 1."""
-    return np.cos((2 * np.arange(NODES) + 1) * np.pi / (2 * NODES))
+    """The nodes (BOX_NODES,) of Chebyshev between -1 and 1."""
+    return np.cos((2 * np.arange(BOX_NODES) + 1) * np.pi / (2 * BOX_NODES))
 
 
 def _calc_lagrange(t: Array) -> Array:
-    """Calculates the Lagrange polynomials (K, NODES) of the nodes at places (K,)."""
+    """Calculates the Lagrange polynomials (K, BOX_NODES) of the nodes at places (K,)."""
     nodes = _find_nodes()
-    found = np.ones((len(t), NODES))
-    for a in range(NODES):
-        for b in range(NODES):
+    found = np.ones((len(t), BOX_NODES))
+    for a in range(BOX_NODES):
+        for b in range(BOX_NODES):
             if b != a:
                 found[:, a] *= (t - nodes[b]) / (nodes[a] - nodes[b])
     return found
@@ -157,7 +157,7 @@ def _place_nodes(box: _Box) -> Array:
     nodes = _find_nodes()
     x = box.middle[0] + box.half * nodes
     y = box.middle[1] + box.half * nodes
-    return np.column_stack([np.repeat(x, NODES), np.tile(y, NODES)])
+    return np.column_stack([np.repeat(x, BOX_NODES), np.tile(y, BOX_NODES)])
 
 
 def _make_pooling(obj: GridObject) -> CellPooling:
@@ -175,7 +175,7 @@ def _make_pooling(obj: GridObject) -> CellPooling:
     places[:, NEXT] = [box.next for box in boxes]
     places[:, FIRST] = [box.first for box in boxes]
     places[:, LAST] = [box.last for box in boxes]
-    nodes = np.zeros((len(boxes), 3, NODES**2))
+    nodes = np.zeros((len(boxes), 3, BOX_NODES**2))
     for b, box in enumerate(boxes):
         nodes[b, :2] = _place_nodes(box).T
     return CellPooling(
@@ -188,7 +188,7 @@ def _make_pooling(obj: GridObject) -> CellPooling:
         places=places,
         nodes=nodes,
         cells=np.array(ordered.T, order="C"),
-        slack=SLACK * obj.cell_size,
+        slack=MAX_CENTER_MOTION * obj.cell_size,
     )
 
 
@@ -208,11 +208,11 @@ def _cut_into_boxes(p: Array, cell_size: float) -> tuple[list[_Box], IntArray]:
         index = len(boxes)
         boxes.append(box)
         first = len(order)
-        if len(cells) <= SMALLEST:
+        if len(cells) <= MIN_BOX_CELLS:
             order.extend(cells.tolist())
         else:
             quadrants = 2 * (p[cells, 0] >= box.middle[0]) + (p[cells, 1] >= box.middle[1])
-            for quadrant, side in enumerate(SIDES):
+            for quadrant, side in enumerate(QUARTER_SIDES):
                 some = cells[quadrants == quadrant]
                 if not len(some):
                     continue
@@ -236,7 +236,7 @@ def _make_transfers(boxes: list[_Box]) -> list[_Transfer]:
     found = []
     unit = _Box(middle=np.zeros(2), half=1.0)
     for level in range(max(box.level for box in boxes), 0, -1):
-        for quadrant, side in enumerate(SIDES):
+        for quadrant, side in enumerate(QUARTER_SIDES):
             parts = [
                 b for b, box in enumerate(boxes) if (box.level, box.quadrant) == (level, quadrant)
             ]

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.cell_pooling import POOLED_FROM, CellPooling
-from gridpush_drake.dynamics.kernels.contact import Edges
-from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
+from gridpush_drake.dynamics.kernels.contact.contact import Edges
+from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
+from gridpush_drake.dynamics.kernels.friction.isotropic_friction import Isotropic
 from gridpush_drake.dynamics.kernels.inputs import Body, Load, Pushes, Scheme, Steps, make_record
-from gridpush_drake.dynamics.kernels.isotropic_friction import Isotropic
 from gridpush_drake.dynamics.kernels.rollout import rollout, rollout_pushes
 from gridpush_drake.dynamics.kernels.step_memory import make_memory
 from gridpush_drake.dynamics.kernels.step_start import make_state
@@ -27,8 +27,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 EARLY_END = 1e-4
-"""Residual of a step, as a share of the load, from which one more Newton step is taken to solve it
-where poses may be approximate: it leaves about the square of this."""
+"""Residual of a step, as a fraction of the load, from which one more Newton step is taken to solve
+it where poses may be approximate: it leaves about the square of this."""
 
 
 def run_kernel(
@@ -58,7 +58,7 @@ def run_kernel(
         memory: (MEMORY_SIZE,) of the step before, updated in place; a body that was at rest by
             default.
         table: (K, 4) edges of the table's top, m, see `Support`; without any it is endless.
-        ahead: share of a step after which it looks at the body; as the friction law does it by
+        ahead: fraction of a step after which it looks at the body; as the friction law does it by
             default.
 
     Returns:
@@ -166,7 +166,7 @@ def prepare_rollout(
     support = make_support(bodies, table)
     # Where loads shift, the rollout writes the law's k at every step; the body's must stay.
     k = body.k.copy() if support.active else body.k
-    law = physics.law.make(k, calc_spin_arm(obj, bodies.params), physics.used_spin)
+    law = physics.law.make(k, calc_spin_lever_arm(obj, bodies.params), physics.used_spin)
     # Loads that shift would have to be brought to the nodes at every step.
     if approximate and isinstance(law, Isotropic) and obj.n >= POOLED_FROM and not support.active:
         law = law._replace(pool=CellPooling.of_object(obj).make_pool(k))
@@ -272,7 +272,7 @@ def find_rest_loads(bodies: Bodies, pose: Array, table: Array | None) -> Array |
     friction = np.empty(obj.n)  # filled with k, which is not wanted here
     held = find_loads(support, cells, float(obj.cell_size), at_rest, loads, friction)
     weight = params.total_mass * bodies.physics.gravity
-    return weight * params.mass * loads.share if held else None
+    return weight * params.mass * loads.fraction if held else None
 
 
 def calc_reach(obj: GridObject) -> float:
@@ -285,7 +285,7 @@ def get_cells(obj: GridObject) -> Array:
     return _get_outline(obj).cells
 
 
-class _Lines(NamedTuple):
+class _CellLines(NamedTuple):
     """The lines along which an object's cells stand.
 
     Attributes:
@@ -308,14 +308,14 @@ class _Outline(NamedTuple):
     edges: Edges
 
 
-def _get_lines(obj: GridObject) -> _Lines:
+def _get_lines(obj: GridObject) -> _CellLines:
     """Finds the lines of an object's cells, once for each object."""
-    cached: _Lines | None = obj.__dict__.get("_kernel_lines")
+    cached: _CellLines | None = obj.__dict__.get("_kernel_lines")
     if cached is None:
         reach = float(np.linalg.norm(obj.p_BC, axis=1).max())
         xs, column = np.unique(obj.p_BC[:, 0], return_inverse=True)
         ys, row = np.unique(obj.p_BC[:, 1], return_inverse=True)
-        cached = _Lines(reach, xs, ys, column, row)
+        cached = _CellLines(reach, xs, ys, column, row)
         obj.__dict__["_kernel_lines"] = cached
     return cached
 

@@ -114,8 +114,9 @@ class Motion:
             pusher; both `NO_BODY` beyond a step's contacts. None of one object.
         contact_gaps: (T, C) distance at each contact when the step begins, m; negative where two
             overlap. None of one object.
-        residuals: (T, 2) what is left of the balance of forces, as a share of what acts on a body,
-            and of the contact conditions, as a share of forces and speeds. None of one object.
+        residuals: (T, 2) what is left of the balance of forces, as a fraction of what acts on a
+            body, and of the contact conditions, as a fraction of forces and speeds. None of one
+            object.
         jacobian: derivatives of the poses, where asked for.
     """
 
@@ -256,7 +257,7 @@ class RawJacobian:
     def other(self) -> Array:
         """(R, 3, OTHER) the columns after those of the cells' frictions."""
         n = self.cell_columns
-        return self.J[..., n : n + columns.OTHER]
+        return self.J[..., n : n + columns.OTHER_COLUMNS]
 
     def calc_mass(self) -> Array:
         """(R, 3, n) by the cells' masses, 1/kg."""
@@ -282,7 +283,7 @@ class RawJacobian:
         """(R, 3, n) by the cells' frictions. Where loads shift, the kernel was asked for them."""
         n = len(self.mass)
         if self.shifted:
-            return self.J[..., n + columns.OTHER + 1 :]
+            return self.J[..., n + columns.OTHER_COLUMNS + 1 :]
         return np.asarray(self.J[..., :n] * (self.mass * self.gravity))
 
     def expand(self) -> Jacobian:
@@ -292,7 +293,7 @@ class RawJacobian:
         nothing = np.empty((*self.J.shape[:2], 0))
         mass = self.calc_mass() if self.by_cells else nothing
         friction = self.calc_friction() if self.by_cells else nothing
-        more = self.J[..., n + columns.OTHER :]
+        more = self.J[..., n + columns.OTHER_COLUMNS :]
         start = other[..., columns.START_X : columns.START_Y + 1]
         return Jacobian(
             steps=self.steps,

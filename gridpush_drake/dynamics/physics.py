@@ -13,19 +13,19 @@ from typing import Literal
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.friction import LAWS
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS, FrictionLaw
+from gridpush_drake.dynamics.kernels.friction.friction_law import SPIN_MODELS, FrictionLaw
+from gridpush_drake.dynamics.kernels.friction.laws import FRICTION_LAWS
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 
 Regime = Literal["auto", "inertial", "quasi_static"]
 """Whether masses act. "inertial": they do. "quasi_static": the limit of slow pushes, where only the
-cells' shares of the friction matter. "auto": whichever of the two suits the push's speed."""
+cells' fractions of the friction matter. "auto": whichever of the two suits the push's speed."""
 
 SpinModel = Literal["coupled", "separate", "none"]
 """How the cells resist spinning, see `kernels.isotropic_friction`."""
 
-REGIMES: tuple[Regime, ...] = ("auto", "inertial", "quasi_static")
+REGIME_NAMES: tuple[Regime, ...] = ("auto", "inertial", "quasi_static")
 """Every word for a regime."""
 
 GRAVITY = 9.81
@@ -44,10 +44,10 @@ MIN_STICTION_TOLERANCE = 1e-15
 """Least stiction tolerance, m/s. Below it, rounding errors decide what moves."""
 
 RELATIVE_STICTION_TOLERANCE = 1e-7
-"""Least stiction tolerance of either regime, as a share of the speed of pusher and body."""
+"""Least stiction tolerance of either regime, as a fraction of the speed of pusher and body."""
 
-HALFWAY = 0.5
-"""Share of a step after which the midpoint rule looks at the body."""
+MIDPOINT_FRACTION = 0.5
+"""Fraction of a step after which the midpoint rule looks at the body."""
 
 
 def check_word(name: str, value: object, known: tuple[object, ...]) -> None:
@@ -77,8 +77,8 @@ class Physics:
             its own; "lagged" is always "separate".
         gravity: m/s².
         stiction_tolerance: speed below which friction is smoothed, m/s; inertial regime only.
-        relative_stiction_tolerance: the least tolerance in either regime, as a share of the speed
-            of pusher and body.
+        relative_stiction_tolerance: the least tolerance in either regime, as a fraction of the
+            speed of pusher and body.
 
     Raises:
         SimulationError: a word is not known, a number is out of range, or the law does not know the
@@ -93,13 +93,13 @@ class Physics:
     relative_stiction_tolerance: float = RELATIVE_STICTION_TOLERANCE
 
     def __post_init__(self) -> None:
-        if self.friction_law not in LAWS:
-            known_laws = ", ".join(map(repr, LAWS))
+        if self.friction_law not in FRICTION_LAWS:
+            known_laws = ", ".join(map(repr, FRICTION_LAWS))
             raise SimulationError(
                 f"friction_law is {self.friction_law!r}; expected one of {known_laws}, "
                 "or a law of your own once register_friction_law has made it known"
             )
-        check_word("regime", self.regime, REGIMES)
+        check_word("regime", self.regime, REGIME_NAMES)
         check_word("spin", self.spin, SPIN_MODELS)
         check_number("gravity", self.gravity, 0.0)
         check_number("stiction_tolerance", self.stiction_tolerance, MIN_STICTION_TOLERANCE)
@@ -116,7 +116,7 @@ class Physics:
     @property
     def law(self) -> FrictionLaw:
         """The law of support friction."""
-        return LAWS[self.friction_law]
+        return FRICTION_LAWS[self.friction_law]
 
     @property
     def used_spin(self) -> str:
@@ -136,8 +136,8 @@ class Physics:
 
     @property
     def ahead(self) -> float:
-        """Share of a step after which it looks at the body; 0.5 by the midpoint rule."""
-        return HALFWAY if self.law.looks_ahead else 0.0
+        """Fraction of a step after which it looks at the body; 0.5 by the midpoint rule."""
+        return MIDPOINT_FRACTION if self.law.looks_ahead else 0.0
 
     def with_regime(self, regime: Regime | None) -> "Physics":
         """Replaces the regime; None leaves it as it is."""

@@ -278,14 +278,14 @@ MAX_STEPS = 1_000_000
 """Most steps of a simulation, each of which is kept: 1 km of the pusher's path by default."""
 
 SAME_TIME = 1e-9
-"""Two times of a push are one if they differ by less than this share of its duration."""
+"""Two times of a push are one if they differ by less than this fraction of its duration."""
 
 SHORT_STEP = 0.01
-"""Share of the mean step below which a step is avoided: a rounding error of a place, divided by so
-short a time, would be a speed."""
+"""Fraction of the mean step below which a step is avoided: a rounding error of a place, divided by
+so short a time, would be a speed."""
 
-SLACK = 1e-9
-"""Share of a step by which a duration may exceed a whole number of steps."""
+DURATION_SLACK = 1e-9
+"""Fraction of a step by which a duration may exceed a whole number of steps."""
 
 
 def make_times(push: Push | ForcePush, dt: float | None, regime: str) -> Array:
@@ -358,7 +358,7 @@ def _count_steps(steps: float) -> int:
             f"the push takes {steps:.3g} steps; expected at most {MAX_STEPS}: "
             "a shorter path or time (in m and s), or longer steps"
         )
-    return max(1, ceil(steps - SLACK))
+    return max(1, ceil(steps - DURATION_SLACK))
 
 
 def _cut(parts: float) -> Array:
@@ -368,7 +368,7 @@ def _cut(parts: float) -> Array:
         Where each begins.
     """
     count = _count_steps(parts)
-    if parts > count - SLACK:
+    if parts > count - DURATION_SLACK:
         return np.arange(count) / count
     starts = np.arange(count) / parts
     if count > 1:

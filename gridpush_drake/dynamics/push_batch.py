@@ -49,7 +49,7 @@ class BatchPush(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Group:
+class _EdgeGroup:
     """Pushes that one call of the kernel takes: those near the same table's edge, or near none."""
 
     chosen: IntArray  # (P,) which pushes of the batch
@@ -171,7 +171,7 @@ class PushBatch:
         return poses, derivatives
 
     def _run(
-        self, group: _Group, params: CellParameters, J: Array
+        self, group: _EdgeGroup, params: CellParameters, J: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
         poses, touched = run_pushes(
             Bodies(self.obj, params, self.physics),
@@ -190,7 +190,7 @@ class PushBatch:
 
     def _make_group(
         self, pushes: Sequence[BatchPush], chosen: IntArray, table: Array | None
-    ) -> _Group:
+    ) -> _EdgeGroup:
         # Push p has the steps first[p] to first[p+1], and one more pose than steps.
         some = [pushes[i] for i in chosen]
         first = np.append(0, np.cumsum([len(one.times) - 1 for one in some], dtype=np.int64))
@@ -198,7 +198,7 @@ class PushBatch:
         wanted = np.concatenate([first[p] + p + one.rows for p, one in enumerate(some)])
         row_of_step[wanted] = np.arange(len(wanted))
         regime = self.physics.regime
-        return _Group(
+        return _EdgeGroup(
             chosen=chosen,
             table=table,
             pushes=Pushes(

@@ -21,9 +21,9 @@ from gridpush_drake.dynamics.kernel_call import (
     run_kernel,
     shifts_loads,
 )
-from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
+from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER_COLUMNS
 from gridpush_drake.dynamics.kernels.inputs import Load, Steps
-from gridpush_drake.dynamics.kernels.step import CONVERGED
+from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.kernels.support_loads import measure_depth
 from gridpush_drake.dynamics.motion import (
     OVERLAP_TOLERANCE,
@@ -56,11 +56,11 @@ from gridpush_drake.objects.parameters import CellParameters
 MOVED_MOST = 2.0
 """How far B's origin may go in a slow push, as a multiple of the pusher's path."""
 
-GRADIENTS = (False, True, "mass", "push", "paper")
+GRADIENT_CHOICES = (False, True, "mass", "push", "paper")
 """What `simulate` may be asked to differentiate."""
 
-EXACT = (True, "mass", "push")
-"""Those of `GRADIENTS` that ask for columns of the exact Jacobian."""
+EXACT_GRADIENTS = (True, "mass", "push")
+"""Those of `GRADIENT_CHOICES` that ask for columns of the exact Jacobian."""
 
 
 class PushSteps(NamedTuple):
@@ -155,7 +155,7 @@ def simulate(
             is not on the table, or two objects overlap.
     """
     _check_kinds(bodies, push)
-    check_word("gradients", gradients, GRADIENTS)
+    check_word("gradients", gradients, GRADIENT_CHOICES)
     if len(bodies) > 1:
         poses = _check_several(bodies, push, pose, gradients, velocity, table)
         assert isinstance(push, Push)
@@ -271,7 +271,7 @@ def simulate_steps(
             "gradients: 'paper' knows no shifting loads; expected a push_height of 0 and no table"
         )
     J = np.empty((0, 3, 0))
-    if gradients in EXACT:
+    if gradients in EXACT_GRADIENTS:
         by_cells = shifted or gradients != "push"
         width = count_columns(
             bodies.obj.n if by_cells else 0, shifted, with_friction=gradients is True
@@ -294,7 +294,7 @@ def simulate_steps(
         result.velocities[1:] *= (dts / np.diff(times))[:, None]
 
     jacobian: Jacobian | RawJacobian | None = None
-    if gradients in EXACT:
+    if gradients in EXACT_GRADIENTS:
         jacobian = RawJacobian.of_parameters(
             bodies,
             steps=rows,
@@ -333,7 +333,7 @@ def count_columns(n: int, shifted: bool, with_friction: bool) -> int:
         with_friction: whether the cells' frictions are wanted beside their masses. Where no loads
             shift, both follow from the same columns.
     """
-    columns = n + OTHER
+    columns = n + OTHER_COLUMNS
     if shifted:
         columns += 1 + (n if with_friction else 0)
     return columns
@@ -466,7 +466,7 @@ def _make_load(push: Push | ForcePush, times: Array) -> Load:
 
 
 def _find_status(has_pusher: bool, steps: Steps) -> MotionStatus:
-    if (steps.statuses[:, 0] != CONVERGED).any():
+    if (steps.statuses[:, 0] != STEP_CONVERGED).any():
         return MotionStatus.NOT_CONVERGED
     if steps.tips.any():
         return MotionStatus.TIPS
@@ -508,7 +508,7 @@ def _check_combination(
             raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
         check_friction(physics, bodies.params)
     known = physics.law.gradients
-    if (True if gradients in EXACT else gradients) not in known:
+    if (True if gradients in EXACT_GRADIENTS else gradients) not in known:
         words = ", ".join(map(repr, known))
         raise SimulationError(
             f"gradients is {gradients!r}; "
@@ -525,8 +525,8 @@ def check_friction(physics: Physics, params: CellParameters) -> None:
 
 
 STEP_STICTION = 1e-10
-"""Stiction tolerance of `calc_step`, m/s, and as a share of the speed: what sticks moves less than
-a few of these."""
+"""Stiction tolerance of `calc_step`, m/s, and as a fraction of the speed: what sticks moves less
+than a few of these."""
 
 
 def calc_step(
@@ -547,8 +547,8 @@ def calc_step(
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s.
         wrench: (3,) force in W, N, and moment about B's origin, N m.
         dt: the step, s.
-        stiction_tolerance: takes the place of both tolerances in `physics`, m/s and as a share of
-            the speed.
+        stiction_tolerance: takes the place of both tolerances in `physics`, m/s and as a fraction
+            of the speed.
 
     Returns:
         nu' (3,) at the end of the step, before the pose moves.
@@ -588,6 +588,6 @@ def calc_step(
         J=np.empty((0, 3, 0)),
         ahead=0.0,
     )
-    if record.statuses[0, 0] != CONVERGED:
+    if record.statuses[0, 0] != STEP_CONVERGED:
         raise SimulationError(f"the step of {obj.name} ({obj.n} cells) was not solved")
     return np.append(rotate(q[2], record.twists[0, :2]), record.twists[0, 2])

@@ -22,24 +22,24 @@ from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.grid_object import GridObject
 
-SIDE = 0.02
+SQUARE_SIDE = 0.02
 """Side of a small square, m."""
 
-RADIUS = 0.005
+DISC_RADIUS = 0.005
 """Radius of the disc that pushes it, m."""
 
-SPEED = 0.1
+DISC_SPEED = 0.1
 """Speed of the disc, m/s."""
 
-DURATION = 0.02
+PUSH_DURATION = 0.02
 """Duration of the push, s."""
 
-REGIMES: tuple[Regime, ...] = ("inertial", "quasi_static")
+COMPILED_REGIMES: tuple[Regime, ...] = ("inertial", "quasi_static")
 
 
 def make_square() -> GridObject:
     """Makes the smallest object, of one cell."""
-    corners = [[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE]]
+    corners = [[0, 0], [SQUARE_SIDE, 0], [SQUARE_SIDE, SQUARE_SIDE], [0, SQUARE_SIDE]]
     return GridObject.from_outline(corners, max_cells=1)
 
 
@@ -52,10 +52,10 @@ def compile_rollouts() -> None:
     """Loads or compiles the kernels, by a push in each regime, by itself and in a batch."""
     obj = make_square()
     bodies = Bodies(obj)
-    push = Push((-RADIUS, SIDE / 3), (SPEED, 0.0), DURATION, RADIUS)
-    times = np.array([0.0, DURATION])
+    push = Push((-DISC_RADIUS, SQUARE_SIDE / 3), (DISC_SPEED, 0.0), PUSH_DURATION, DISC_RADIUS)
+    times = np.array([0.0, PUSH_DURATION])
     rows = np.array([1])
-    for regime in REGIMES:
+    for regime in COMPILED_REGIMES:
         simulate(bodies, push, gradients=True, regime=regime)
         batch = PushBatch(
             obj, [BatchPush(push, np.zeros(3), times, rows, None)], Physics(regime=regime)

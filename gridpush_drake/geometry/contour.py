@@ -29,18 +29,18 @@ from shapely.geometry.polygon import orient
 
 from gridpush_drake.geometry.se2 import Array
 
-HALF = 0.5
-"""Share of a pixel that is object from which on the pixel counts as object. It is also the distance
-in x and y of a pixel's center from its upper left corner, pixels."""
+HALF_PIXEL = 0.5
+"""Fraction of a pixel that is object from which on the pixel counts as object. It is also the
+distance in x and y of a pixel's center from its upper left corner, pixels."""
 
-SMOOTHING = 1.0
+MASK_SMOOTHING = 1.0
 """Standard deviation of the Gaussian that hides the steps of a mask, pixels."""
 
-REACH = 4
+SMOOTHING_REACH = 4
 """Margin around a mask before it is smoothed, in standard deviations of the Gaussian, so that the
 contour closes."""
 
-TOLERANCE = 0.75
+CONTOUR_TOLERANCE = 0.75
 """Farthest that the simplified outline may leave the contour, pixels. It is just more than the
 pixels' steps leave the contour, so that no step becomes an edge."""
 
@@ -55,10 +55,10 @@ MAX_STEPS = 60_000
 """Largest number of pixel sides in the boundary of a mask. One with more is noise at its own scale;
 it is traced at half the resolution, or less."""
 
-STITCH = 0.05
+STITCH_HALF_WIDTH = 0.05
 """Half width of the bridge by which pixels that touch at a corner only are joined, pixels."""
 
-TRIM = 2.0
+EDGE_TRIM = 2.0
 """Length of the contour at each end of an edge that is left out of the fit, pixels, for smoothing
 rounds the corners."""
 
@@ -66,7 +66,7 @@ MIN_FITTED = 6.0
 """Length of an edge from which on a line is fitted through its points, pixels. A shorter edge is
 drawn from vertex to vertex."""
 
-STRAIGHT = 0.75
+STRAIGHT_TOLERANCE = 0.75
 """Two neighboring edges become one when no traced point between their ends is farther from one line
 through them, pixels."""
 
@@ -103,11 +103,11 @@ class Line(NamedTuple):
         return (points - self.middle) @ self.normal
 
 
-def calc_contour(coverage: Array, smoothing: float = SMOOTHING) -> Polygon:
+def calc_contour(coverage: Array, smoothing: float = MASK_SMOOTHING) -> Polygon:
     """Traces the outline of a mask, one 8-connected piece.
 
     Args:
-        coverage: (height, width) share of each pixel that is object, 0 to 1.
+        coverage: (height, width) fraction of each pixel that is object, 0 to 1.
         smoothing: standard deviation of the Gaussian, pixels; a smaller one rounds corners less,
             but wants a coverage finer than yes and no.
 
@@ -130,7 +130,7 @@ def calc_contour(coverage: Array, smoothing: float = SMOOTHING) -> Polygon:
 
 def _count_steps(coverage: Array) -> int:
     """Counts the pixel sides between object and background."""
-    solid = coverage >= HALF
+    solid = coverage >= HALF_PIXEL
     between_rows = np.diff(solid, axis=0)
     between_columns = np.diff(solid, axis=1)
     count = np.count_nonzero(between_rows) + np.count_nonzero(between_columns)
@@ -155,7 +155,7 @@ def _trace_smooth(coverage: Array, smoothing: float) -> Polygon | None:
     Returns:
         The largest piece; None where smoothing leaves none, or it cannot be simplified.
     """
-    margin = int(np.ceil(REACH * smoothing))
+    margin = int(np.ceil(SMOOTHING_REACH * smoothing))
     padded = np.pad(coverage, margin)
     field = gaussian_filter(padded, smoothing)
     generator = contour_generator(z=field, fill_type=FillType.OuterOffset)
@@ -163,12 +163,12 @@ def _trace_smooth(coverage: Array, smoothing: float) -> Polygon | None:
     # Contourpy gives all rings of a piece in one array, the outer one first, and where each begins.
     # Its points are counted from the center of the first pixel, the outline's from its corner.
     pieces = []
-    filled = generator.filled(HALF, np.inf)
+    filled = generator.filled(HALF_PIXEL, np.inf)
     for points, offsets in zip(*filled, strict=True):
         rings = []
         for first, end in pairwise(offsets):
             ring = _begin_at_a_corner(points[first:end])
-            rings.append(ring + (HALF - margin))
+            rings.append(ring + (HALF_PIXEL - margin))
         pieces.append(Polygon(rings[0], _keep_large(rings[1:])))
     if not pieces:
         return None
@@ -238,12 +238,12 @@ def _trace_pixels(coverage: Array) -> Polygon:
     Where they are in several pieces, all pixels that are touched are united; of several pieces
     even then, the largest is taken.
     """
-    for min_share in (HALF, np.finfo(float).tiny):
-        row, column = np.nonzero(coverage >= min_share)
+    for min_fraction in (HALF_PIXEL, np.finfo(float).tiny):
+        row, column = np.nonzero(coverage >= min_fraction)
         if not len(row):
             continue
         squares = shapely.box(column, row, column + 1, row + 1)
-        union = shapely.union_all(squares).buffer(STITCH, join_style="mitre")
+        union = shapely.union_all(squares).buffer(STITCH_HALF_WIDTH, join_style="mitre")
         if isinstance(union, Polygon):
             holes = _keep_large(union.interiors)
             union = Polygon(union.exterior, holes)
@@ -253,7 +253,7 @@ def _trace_pixels(coverage: Array) -> Polygon:
 
 def _simplify(polygon: Polygon) -> Polygon | None:
     """Leaves out vertices (Douglas and Peucker); None where that leaves no valid polygon."""
-    simple = polygon.simplify(TOLERANCE, preserve_topology=True)
+    simple = polygon.simplify(CONTOUR_TOLERANCE, preserve_topology=True)
     if not isinstance(simple, Polygon) or simple.is_empty or not simple.is_valid:
         return None
     return simple if simple.area > 0 else None
@@ -309,7 +309,7 @@ def _drop_straight(ring: Points, corners: list[int]) -> list[int]:
         points = _take_between(ring, previous, following)
         line = _fit_line(points)
         distances = np.abs(line.measure(points))
-        if distances.max() > STRAIGHT:
+        if distances.max() > STRAIGHT_TOLERANCE:
             continue
         # The corner goes. Its neighbors have longer edges now, and are looked at again.
         after[previous] = following
@@ -334,7 +334,7 @@ def _trim(points: Points) -> Points:
     from_first = np.linalg.norm(points - first, axis=1)
     from_last = np.linalg.norm(points - last, axis=1)
     nearest = np.minimum(from_first, from_last)
-    inner = points[nearest >= TRIM]
+    inner = points[nearest >= EDGE_TRIM]
     length = np.linalg.norm(last - first)
     is_short = length < MIN_FITTED
     return ends if is_short or len(inner) < 2 else inner

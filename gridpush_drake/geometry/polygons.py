@@ -1,7 +1,7 @@
 """Polygons: convex hulls, intersections of half-planes, margins, and an outline's directed edges.
 
-Contact with an outline is calculated from its edges in `dynamics.kernels.contact`; convex polygons
-serve planning, where a body is safe as long as its center stays inside one.
+Contact with an outline is calculated from its edges in `dynamics.kernels.contact.contact`; convex
+polygons serve planning, where a body is safe as long as its center stays inside one.
 """
 
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ from shapely.geometry.polygon import orient
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array, IntArray, turn_left, turn_right
 
-SLACK = 1e-12
+HALF_PLANE_SLACK = 1e-12
 """Distance by which every half-plane is widened, m. Half-planes that have just one point in common
 so leave a small polygon, and not nothing for round-off's sake."""
 
-FAR = 8.0
+HALF_PLANE_SIZE = 8.0
 """Size of the rectangle that stands for a half-plane, in the largest of the offsets."""
 
 MIN_CORNERS = 3
@@ -41,7 +41,7 @@ def hull_of(points: Array) -> Array:
 
 
 def bound_by_half_planes(directions: Array, offsets: Array) -> Array:
-    """Intersects half-planes {c: d . c <= h}, each widened by `SLACK`.
+    """Intersects half-planes {c: d . c <= h}, each widened by `HALF_PLANE_SLACK`.
 
     Each bound may be the tightest one for its own direction, or may lie outside of what the other
     bounds leave; then it counts nothing.
@@ -55,8 +55,8 @@ def bound_by_half_planes(directions: Array, offsets: Array) -> Array:
     """
     # A half-plane is a rectangle here, so large that its other three sides do not matter:
     # one side lies on the bound, and it reaches inwards.
-    reach = FAR * (float(np.abs(offsets).max()) + SLACK)
-    on_edge = (offsets + SLACK)[:, None] * directions
+    reach = HALF_PLANE_SIZE * (float(np.abs(offsets).max()) + HALF_PLANE_SLACK)
+    on_edge = (offsets + HALF_PLANE_SLACK)[:, None] * directions
     along = reach * turn_left(directions)
     inward = -reach * directions
     left = on_edge + along

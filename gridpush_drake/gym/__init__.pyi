@@ -1,6 +1,6 @@
 from .environments import PushEnvironment as PushEnvironment
 from .environments import PushVectorEnvironment as PushVectorEnvironment
-from .episode import Episode as Episode
+from .episode import EpisodeState as EpisodeState
 from .episode import GameOptions as GameOptions
 from .following import FollowEnvironment as FollowEnvironment
 from .following import FollowGameOptions as FollowGameOptions

@@ -18,8 +18,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.gym.episode import Episode, GameOptions, PushGame
-from gridpush_drake.gym.games import GAMES
+from gridpush_drake.gym.episode import EpisodeState, GameOptions, PushGame
+from gridpush_drake.gym.games import GAME_CLASSES
 from gridpush_drake.gym.rendering import draw_scene
 
 CAMERA_SIZE = 96
@@ -28,16 +28,16 @@ CAMERA_SIZE = 96
 PICTURE_SIZE = 480
 """Side of what `render` gives, pixels."""
 
-FPS = 2
+PUSHES_PER_SECOND = 2
 """Number of pushes a second in a film of pictures."""
 
-FOLLOW = "gridpush/Follow-v0"
+FOLLOW_ID = "gridpush/Follow-v0"
 """Name of the environment in which a finger is steered, `gym.following`."""
 
-METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FPS}
+RENDER_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": PUSHES_PER_SECOND}
 """What the environments tell Gymnasium of their pictures."""
 
-REARRANGE = "gridpush/Rearrange-v0"
+REARRANGE_ID = "gridpush/Rearrange-v0"
 """Name of the environment with several objects, `gym.rearranging.RearrangeEnvironment`."""
 
 Observation = dict[str, NDArray[Any]]
@@ -46,7 +46,7 @@ Observation = dict[str, NDArray[Any]]
 
 def register_environments() -> None:
     """Makes the environments known to Gymnasium, as `gridpush/NAME-v0`."""
-    for name in GAMES:
+    for name in GAME_CLASSES:
         if f"gridpush/{name}-v0" not in gymnasium.registry:
             gymnasium.register(
                 f"gridpush/{name}-v0",
@@ -54,11 +54,11 @@ def register_environments() -> None:
                 vector_entry_point=f"{__name__}:PushVectorEnvironment",
                 kwargs={"game": name},
             )
-    if FOLLOW not in gymnasium.registry:
-        gymnasium.register(FOLLOW, entry_point="gridpush_drake.gym.following:FollowEnvironment")
-    if REARRANGE not in gymnasium.registry:
+    if FOLLOW_ID not in gymnasium.registry:
+        gymnasium.register(FOLLOW_ID, entry_point="gridpush_drake.gym.following:FollowEnvironment")
+    if REARRANGE_ID not in gymnasium.registry:
         gymnasium.register(
-            REARRANGE, entry_point="gridpush_drake.gym.rearranging:RearrangeEnvironment"
+            REARRANGE_ID, entry_point="gridpush_drake.gym.rearranging:RearrangeEnvironment"
         )
 
 
@@ -66,15 +66,15 @@ def make_game(game: str, options: dict[str, Any]) -> PushGame:
     """Makes a game.
 
     Args:
-        game: its name, one of GAMES.
+        game: its name, one of GAME_CLASSES.
         options: fields of `GameOptions`.
 
     Raises:
         PlanningError: there is no such game.
     """
-    if game not in GAMES:
-        raise PlanningError(f"game: {game!r}; expected one of {', '.join(GAMES)}")
-    kind = GAMES[game]
+    if game not in GAME_CLASSES:
+        raise PlanningError(f"game: {game!r}; expected one of {', '.join(GAME_CLASSES)}")
+    kind = GAME_CLASSES[game]
     return kind(GameOptions(**kind.list_defaults() | options))
 
 
@@ -97,7 +97,7 @@ class _View:
         # Gymnasium's stubs leave its type open
         self.space = cast(Space[Observation], Dict(cast(dict[str, Space[Any]], self._spaces)))
 
-    def observe(self, episodes: Sequence[Episode]) -> Observation:
+    def observe(self, episodes: Sequence[EpisodeState]) -> Observation:
         """Returns what is seen of each episode, one above the other."""
         seen = [self._game.observe(episode) for episode in episodes]
         if self._camera:
@@ -139,7 +139,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
         episode: the present one.
     """
 
-    metadata = METADATA
+    metadata = RENDER_METADATA
 
     def __init__(
         self,
@@ -148,7 +148,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
         camera: bool = False,
         **options: Any,
     ) -> None:
-        """Makes the environment of a game of GAMES.
+        """Makes the environment of a game of GAME_CLASSES.
 
         Args:
             game: its name.
@@ -162,7 +162,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
         self._view = _View(self.game, camera)
         self.observation_space = self._view.space
         self.action_space = Box(-1.0, 1.0, (3,), np.float32)
-        self.episode: Episode | None = None
+        self.episode: EpisodeState | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -211,7 +211,7 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         camera: bool = False,
         **options: Any,
     ) -> None:
-        """Makes the environment of a game of GAMES.
+        """Makes the environment of a game of GAME_CLASSES.
 
         Args:
             num_envs: number of episodes.
@@ -224,13 +224,13 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.num_envs = num_envs
         self.game = make_game(game, options)
         self.render_mode = render_mode
-        self.metadata = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
+        self.metadata = {**RENDER_METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
         self._view = _View(self.game, camera)
         self.single_observation_space = self._view.space
         self.single_action_space = Box(-1.0, 1.0, (3,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.episodes: list[Episode] = []
+        self.episodes: list[EpisodeState] = []
         self._generators: list[np.random.Generator] = []
         self._over = np.zeros(num_envs, dtype=bool)
 

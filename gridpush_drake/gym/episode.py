@@ -17,17 +17,17 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads, simulate_batch
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
-from gridpush_drake.gym.known_shape import FINGER, KnownShape, load_shape
+from gridpush_drake.gym.known_shape import FINGER_OPTIONS, KnownShape, load_shape
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
+from gridpush_drake.planning.pregrasp.grasp.grasp_parts import GraspPart
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.planning.world import WorldMotion
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-OBJECTS = (
+EPISODE_OBJECTS = (
     "claw_hammer",
     "combination_wrench",
     "pliers",
@@ -49,10 +49,10 @@ CONTACT_FRICTION_RANGE = (0.35, 0.65)
 TIP_STEP = 0.002
 """Distance that the finger moves in a step of the simulation, m."""
 
-OBSERVATIONS = 4
+OBSERVATION_COUNT = 4
 """Number of poses that are seen during a push after the first one, its end among them."""
 
-ROOM = 1.0
+SPACE_MARGIN = 1.0
 """Distance beyond the table's edge that the space of poses reaches, m."""
 
 
@@ -87,7 +87,7 @@ class GameOptions:
         ObjectError: no shipped object has one of the names.
     """
 
-    objects: Sequence[str | GridObject] = OBJECTS
+    objects: Sequence[str | GridObject] = EPISODE_OBJECTS
     max_pushes: int = 20
     position_std: float = 0.0005
     angle_std: float = 0.003
@@ -103,7 +103,7 @@ class GameOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Episode:
+class EpisodeState:
     """How an episode stands.
 
     No player is shown `hidden`, `true_pose`, `score`, `parts` and `motion`, which are the truth.
@@ -161,7 +161,7 @@ class Turn:
         won: whether the game's aim is reached, which ends the episode.
     """
 
-    episode: Episode
+    episode: EpisodeState
     reward: float
     won: bool = False
 
@@ -200,19 +200,19 @@ class PushGame:
         """Options that the game has other defaults for."""
         return cls.defaults
 
-    def begin(self, rng: np.random.Generator) -> Episode:
+    def begin(self, rng: np.random.Generator) -> EpisodeState:
         """Draws an episode; `rng` also draws its noise."""
         raise NotImplementedError
 
-    def measure(self, episode: Episode) -> float:
+    def measure(self, episode: EpisodeState) -> float:
         """Calculates the game's score of an episode as it stands, m."""
         raise NotImplementedError
 
-    def judge(self, before: Episode, after: Episode) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
         """Says what a push was worth, and returns the episode after it with its `score`."""
         raise NotImplementedError
 
-    def put(self, episode: Episode, pose: Array) -> Episode:
+    def put(self, episode: EpisodeState, pose: Array) -> EpisodeState:
         """Returns the episode with its object put down at a pose (3,), seen and measured anew."""
         seen = self.add_noise(pose, episode.rng)
         moved = replace(episode, true_pose=pose, pose=seen, fallen=False, motion=None)
@@ -222,7 +222,7 @@ class PushGame:
         """Makes the spaces of what this game adds to the observation."""
         return {}
 
-    def observe_own(self, episode: Episode) -> dict[str, Array]:
+    def observe_own(self, episode: EpisodeState) -> dict[str, Array]:
         """Returns what this game adds to the observation."""
         return {}
 
@@ -240,7 +240,7 @@ class PushGame:
 
     def make_spaces(self) -> dict[str, Box]:
         """Makes the spaces of the observation; lengths in m, angles as cosine and sine."""
-        far = (self._half + ROOM).astype(np.float32)
+        far = (self._half + SPACE_MARGIN).astype(np.float32)
         limit = np.array([*far, 1.0, 1.0], dtype=np.float32)
         step = np.array([*(2 * far), np.pi], dtype=np.float32)
         shape = self.shapes[0]
@@ -254,7 +254,7 @@ class PushGame:
             **self.make_own_spaces(),
         }
 
-    def observe(self, episode: Episode) -> dict[str, Any]:
+    def observe(self, episode: EpisodeState) -> dict[str, Any]:
         """Returns what a player sees."""
         return {
             "pose": flatten_pose(episode.pose),
@@ -266,7 +266,7 @@ class PushGame:
             **self.observe_own(episode),
         }
 
-    def play(self, episodes: Sequence[Episode], actions: Sequence[Array]) -> list[Turn]:
+    def play(self, episodes: Sequence[EpisodeState], actions: Sequence[Array]) -> list[Turn]:
         """Makes one push in each of the episodes, all simulated in one batch.
 
         Args:
@@ -276,7 +276,9 @@ class PushGame:
         after = self.push(episodes, actions)
         return [self.judge(*pair) for pair in zip(episodes, after, strict=True)]
 
-    def push(self, episodes: Sequence[Episode], actions: Sequence[Array]) -> list[Episode]:
+    def push(
+        self, episodes: Sequence[EpisodeState], actions: Sequence[Array]
+    ) -> list[EpisodeState]:
         """Makes one push in each of the episodes, as `play` does; they are not judged yet."""
         pairs = list(zip(episodes, actions, strict=True))
         pushes = [episode.shape.make_push(action, episode.pose) for episode, action in pairs]
@@ -285,21 +287,25 @@ class PushGame:
             pushes,
             np.reshape([episode.true_pose for episode in episodes], (-1, 3)),
             workers=self.options.workers,
-            dt=TIP_STEP / FINGER.pusher.speed,
+            dt=TIP_STEP / FINGER_OPTIONS.pusher.speed,
             regime="quasi_static",
             table=self.surface.corners,
         )
         played = zip(pairs, pushes, motions, strict=True)
         return [self._go_on(*pair, push, motion) for pair, push, motion in played]
 
-    def _go_on(self, episode: Episode, action: Array, push: Push, motion: Motion) -> Episode:
+    def _go_on(
+        self, episode: EpisodeState, action: Array, push: Push, motion: Motion
+    ) -> EpisodeState:
         """Returns an episode after a push, not yet judged."""
         # The motion ends where the object begins to tip.
         poses = motion.poses
         fallen = bool(motion.tips.any())
         if fallen:
             poses = poses[: int(np.argmax(motion.tips)) + 1]
-        rows = np.unique(np.rint(np.linspace(0, len(poses) - 1, OBSERVATIONS + 1)).astype(int))[1:]
+        rows = np.unique(
+            np.rint(np.linspace(0, len(poses) - 1, OBSERVATION_COUNT + 1)).astype(int)
+        )[1:]
         seen = self.add_noise(poses[rows], episode.rng)
         on_table = bool(find_supported(episode.shape.obj, poses, self.surface).all())
         if not on_table:
@@ -333,7 +339,7 @@ class PushGame:
             ),
         )
 
-    def is_cut_off(self, episode: Episode) -> bool:
+    def is_cut_off(self, episode: EpisodeState) -> bool:
         """Says whether all pushes of an episode were made."""
         return len(episode.pushes) >= self.options.max_pushes
 

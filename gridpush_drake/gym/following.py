@@ -21,28 +21,34 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, check_vector, make_direction, rotate, transform
 from gridpush_drake.gym.episode import (
     CONTACT_FRICTION_RANGE,
+    EPISODE_OBJECTS,
     FRICTION_RANGE,
     MASS_RANGE,
-    OBJECTS,
     flatten_pose,
     take_objects,
 )
 from gridpush_drake.gym.known_shape import KnownShape, load_shape
-from gridpush_drake.gym.rendering import GOAL, PLAIN, SMOOTHING, TIP, WOOD
+from gridpush_drake.gym.rendering import (
+    GOAL_COLOR,
+    OBJECT_COLOR,
+    PUSH_COLOR,
+    SUPERSAMPLING,
+    TABLE_COLOR,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.feedback.finger_world import LcpFingerWorld, Sight
+from gridpush_drake.planning.feedback.finger_world import LcpFingerWorld, PoseSensorModel
 from gridpush_drake.planning.feedback.follow_log import SeenPose
-from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
+from gridpush_drake.planning.feedback.pose_path import PathProgress, PosePath
 from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
 
-FINGER = FeedbackFinger(radius=0.008, speed=0.1, walking_speed=0.2)
+STEERED_FINGER = FeedbackFinger(radius=0.008, speed=0.1, walking_speed=0.2)
 """The finger. An action of length 1 is its walking speed."""
 
-PERIOD = 0.1
+STEP_PERIOD = 0.1
 """Time of a step, s."""
 
-AHEAD = 12
+PATH_POSES_AHEAD = 12
 """Poses of the path ahead of the object that are observed."""
 
 AHEAD_SPACING = 0.02
@@ -60,10 +66,10 @@ MAX_BEND = 0.9
 PATH_SPEED = 0.05
 """Speed of a path, m/s: a player may be faster or slower."""
 
-BEHIND = 0.012
+START_GAP = 0.012
 """Gap between finger and object at the beginning, m."""
 
-REACHED = 0.005
+END_TOLERANCE = 0.005
 """Distance of the cells' centroid from the path's end at which it is reached, m."""
 
 PER_METER = 10.0
@@ -75,16 +81,16 @@ PER_METER_OFF = 5.0
 PER_STEP = 0.01
 """What each step costs."""
 
-FAR = 2.0
+MAX_PLACE = 2.0
 """Limit of the places that are observed, m."""
 
 PICTURE_SIZE = 480
 """Side of what `render` gives, pixels."""
 
-VIEW = 0.4
+VIEW_HALF_SIDE = 0.4
 """Half the side of that picture, m."""
 
-LINE = 0.003
+LINE_WIDTH = 0.003
 """Width of lines in that picture, m."""
 
 
@@ -96,7 +102,7 @@ class FollowGameOptions:
         objects: names of shipped objects, or objects; one is drawn for each episode.
         max_steps: number of steps after which an episode is cut off.
         delay: time after which a pose comes, s.
-        missing: share of the poses that never come.
+        missing: fraction of the poses that never come.
         position_std: standard deviation of a seen position, per axis, m.
         angle_std: standard deviation of a seen angle, rad.
 
@@ -105,7 +111,7 @@ class FollowGameOptions:
         ObjectError: no shipped object has one of the names.
     """
 
-    objects: Sequence[str | GridObject] = OBJECTS
+    objects: Sequence[str | GridObject] = EPISODE_OBJECTS
     max_steps: int = 300
     delay: float = 0.1
     missing: float = 0.1
@@ -115,11 +121,11 @@ class FollowGameOptions:
     def __post_init__(self) -> None:
         object.__setattr__(self, "objects", take_objects(self.objects))
         require_positive(PlanningError, max_steps=self.max_steps)
-        self.make_sight()
+        self.make_pose_sensor()
 
-    def make_sight(self) -> Sight:
+    def make_pose_sensor(self) -> PoseSensorModel:
         """Makes how the object is seen. Raises PlanningError where a number is out of range."""
-        return Sight(
+        return PoseSensorModel(
             delay=self.delay,
             missing=self.missing,
             position_std=self.position_std,
@@ -147,7 +153,7 @@ class FollowEpisode:
     shape: KnownShape
     hidden: CellParameters
     path: PosePath
-    way: ObjectWay
+    way: PathProgress
     world: LcpFingerWorld
     seen: SeenPose
     came: list[SeenPose]
@@ -183,7 +189,7 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
 
-    finger: ClassVar[FeedbackFinger] = FINGER
+    finger: ClassVar[FeedbackFinger] = STEERED_FINGER
     """The finger."""
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
@@ -201,17 +207,17 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
             for one in self.options.objects
         ]
         shape = self._shapes[0]
-        limit = np.array([FAR, FAR, 1.0, 1.0], dtype=np.float32)
-        limits = np.tile(limit, (AHEAD, 1))
-        duration = self.options.max_steps * PERIOD
+        limit = np.array([MAX_PLACE, MAX_PLACE, 1.0, 1.0], dtype=np.float32)
+        limits = np.tile(limit, (PATH_POSES_AHEAD, 1))
+        duration = self.options.max_steps * STEP_PERIOD
         longest = np.float32(duration + 1.0)
         brightest = np.iinfo(np.uint8).max
         spaces: dict[str, Box] = {
             "pose": Box(-limit, limit),
             "age": Box(0.0, longest, (1,)),
-            "tip": Box(-FAR, FAR, (2,)),
+            "tip": Box(-MAX_PLACE, MAX_PLACE, (2,)),
             "path": Box(-limits, limits),
-            "progress": Box(0.0, FAR, (1,)),
+            "progress": Box(0.0, MAX_PLACE, (1,)),
             "outline": Box(-1.0, 1.0, (shape.outline.size,)),
             "occupancy": Box(0, brightest, shape.occupancy.shape, np.uint8),
         }
@@ -238,11 +244,11 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
         chosen = check_vector(PlanningError, "action", action, 2)
         size = float(np.linalg.norm(chosen))
         direction = chosen / max(size, 1.0)
-        velocity = FINGER.walking_speed * direction
+        velocity = STEERED_FINGER.walking_speed * direction
         world = episode.world
         episode.came = []
-        looks = round(PERIOD / world.sight.period)
-        for _ in range(looks):
+        frame_count = round(STEP_PERIOD / world.pose_sensor.period)
+        for _ in range(frame_count):
             came = world.move(velocity)
             episode.came.extend(came)
         if episode.came:
@@ -256,7 +262,7 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
         episode.off.append(off)
         end = episode.way.at(episode.way.length)[:2]
         left = float(np.linalg.norm(center - end))
-        won = left < REACHED
+        won = left < END_TOLERANCE
         gained = PER_METER * (episode.progress - before)
         reward = gained - PER_METER_OFF * off - PER_STEP
         if won:
@@ -288,8 +294,8 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
             hidden,
             pose,
             tip=place_behind(obj, path),
-            radius=FINGER.radius,
-            sight=self.options.make_sight(),
+            radius=STEERED_FINGER.radius,
+            pose_sensor=self.options.make_pose_sensor(),
             seed=noise_seed,
         )
         # the object was seen to lie there before the episode began
@@ -300,7 +306,7 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
             shape=shape,
             hidden=hidden,
             path=path,
-            way=ObjectWay(obj, path),
+            way=PathProgress(obj, path),
             world=world,
             seen=seen,
             came=[seen],
@@ -311,7 +317,7 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
         seen = episode.seen.pose
         center = self._find_center(episode, seen)
         progress = episode.way.project(center, float(seen[2]), episode.progress)
-        lengths = AHEAD_SPACING * np.arange(1, AHEAD + 1)
+        lengths = AHEAD_SPACING * np.arange(1, PATH_POSES_AHEAD + 1)
         ahead = episode.way.at(progress + lengths)
         middle = episode.shape.obj.p_BC.mean(axis=0)
         origins = ahead[:, :2] - rotate(ahead[:, 2], middle)
@@ -375,32 +381,32 @@ def place_behind(obj: GridObject, path: PosePath) -> Array:
     corners = transform(pose, shapely.get_coordinates(obj.outline))
     center = transform(pose, obj.p_BC.mean(axis=0)[None])[0]
     extent = float(((corners - center) @ back).max())
-    reach = extent + FINGER.radius + BEHIND
+    reach = extent + STEERED_FINGER.radius + START_GAP
     return np.asarray(center + reach * back)
 
 
 def draw_following(episode: FollowEpisode) -> NDArray[np.uint8]:
     """Draws an episode from above (480, 480, 3): path, object, and finger."""
     obj = episode.shape.obj
-    size = SMOOTHING * PICTURE_SIZE
-    scale = size / (2 * VIEW)
+    size = SUPERSAMPLING * PICTURE_SIZE
+    scale = size / (2 * VIEW_HALF_SIDE)
     middle = episode.way.at(episode.way.length / 2)[:2]
-    image = Image.new("RGB", (size, size), WOOD)
+    image = Image.new("RGB", (size, size), TABLE_COLOR)
     brush = ImageDraw.Draw(image)
 
     def place(points: Array) -> list[tuple[float, float]]:
         # x to the right and y up
         flipped = (points - middle) * (1, -1)
-        pixels = (flipped + VIEW) * scale
+        pixels = (flipped + VIEW_HALF_SIDE) * scale
         return [(float(x), float(y)) for x, y in pixels]
 
     outline = np.array(obj.outline.exterior.coords)[:, :2]
-    width = max(1, round(LINE * scale))
-    brush.polygon(place(transform(episode.world.pose, outline)), fill=PLAIN)
+    width = max(1, round(LINE_WIDTH * scale))
+    brush.polygon(place(transform(episode.world.pose, outline)), fill=OBJECT_COLOR)
     lengths = np.linspace(0.0, episode.way.length, PATH_POINTS)
     line = episode.way.at(lengths)[:, :2]
-    brush.line(place(line), fill=GOAL, width=width)
-    brush.line(place(transform(episode.path.goal, outline)), fill=GOAL, width=width)
-    finger = shapely.Point(episode.world.tip).buffer(FINGER.radius)
-    brush.polygon(place(shapely.get_coordinates(finger)), fill=TIP)
-    return np.asarray(image.reduce(SMOOTHING))
+    brush.line(place(line), fill=GOAL_COLOR, width=width)
+    brush.line(place(transform(episode.path.goal, outline)), fill=GOAL_COLOR, width=width)
+    finger = shapely.Point(episode.world.tip).buffer(STEERED_FINGER.radius)
+    brush.polygon(place(shapely.get_coordinates(finger)), fill=PUSH_COLOR)
+    return np.asarray(image.reduce(SUPERSAMPLING))

@@ -16,8 +16,8 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
 from gridpush_drake.gym.episode import (
-    ROOM,
-    Episode,
+    SPACE_MARGIN,
+    EpisodeState,
     GameOptions,
     PushGame,
     Turn,
@@ -25,9 +25,9 @@ from gridpush_drake.gym.episode import (
 )
 from gridpush_drake.gym.known_shape import KnownShape
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.posterior import Posterior
-from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.statistics.posterior import Posterior
+from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.exploration.designed_pokes import (
@@ -44,14 +44,14 @@ PER_METER = 10.0
 PER_METER_PREDICTED = 100.0
 """Reward for a meter less of held-out error."""
 
-MARGIN = 0.1
+GOAL_EDGE_MARGIN = 0.1
 """Least distance inside the table's edge of an object with a goal, at the beginning and at the
 goal, m."""
 
 MIN_ERROR = 0.1
 """Least mean cell error to the goal at the beginning, m."""
 
-REACHED = 0.02
+GOAL_TOLERANCE = 0.02
 """Mean cell error below which the goal is reached, m; the paper's."""
 
 T_REACHED = 0.005
@@ -84,7 +84,7 @@ and far end."""
 T_CELLS = 63
 """Greatest number of the T's cells, which are about a centimeter wide."""
 
-POKES = 3
+INITIAL_POKES = 3
 """Number of random pokes that were made and seen before the first stroke."""
 
 POKE_DISTANCE = -0.4
@@ -96,7 +96,7 @@ T_DISTANCE = (0.08, 0.2)
 T_TURN = np.pi / 2
 """Greatest angle of the T's goal from where it lies, rad."""
 
-OFFSET = 0.05
+MAX_START_OFFSET = 0.05
 """Greatest distance from the table's middle, along each axis, of an object that is to be slid, at
 the beginning, m."""
 
@@ -109,7 +109,7 @@ HELD_OUT = 6
 HELD_OUT_DISTANCE = 0.3
 """Length of these pushes as an action: nine centimeters or so."""
 
-ITERATIONS = 2
+FILTER_ITERATIONS = 2
 """Number of iterations of the filter's step."""
 
 
@@ -124,9 +124,9 @@ class PushToGoal(PushGame):
     """
 
     table = (1.4, 1.2)
-    reached: ClassVar[float] = REACHED
+    reached: ClassVar[float] = GOAL_TOLERANCE
 
-    def begin(self, rng: np.random.Generator) -> Episode:
+    def begin(self, rng: np.random.Generator) -> EpisodeState:
         """Draws an object, where it lies and where it should."""
         shape, hidden = self.draw_object(rng)
         start = self._draw_pose(shape, rng)
@@ -135,7 +135,7 @@ class PushToGoal(PushGame):
         while error < MIN_ERROR:
             goal = self._draw_pose(shape, rng)
             error = float(calc_goal_error(shape.obj, start, goal))
-        return Episode(
+        return EpisodeState(
             shape=shape,
             hidden=hidden,
             rng=rng,
@@ -145,12 +145,12 @@ class PushToGoal(PushGame):
             goal=goal,
         )
 
-    def measure(self, episode: Episode) -> float:
+    def measure(self, episode: EpisodeState) -> float:
         """Calculates the mean distance of the cells from where they are at the goal, m."""
         assert episode.goal is not None
         return float(calc_goal_error(episode.shape.obj, episode.true_pose, episode.goal))
 
-    def judge(self, before: Episode, after: Episode) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
         """Rewards by how much nearer the goal is."""
         error = self.measure(after)
         won = error < self.reached and not after.fallen
@@ -162,7 +162,7 @@ class PushToGoal(PushGame):
         limit = np.array([*self._half, 1.0, 1.0], dtype=np.float32)
         return {"goal": Box(-limit, limit)}
 
-    def observe_own(self, episode: Episode) -> dict[str, Array]:
+    def observe_own(self, episode: EpisodeState) -> dict[str, Array]:
         """Returns the goal, in the form of the pose."""
         assert episode.goal is not None
         return {"goal": flatten_pose(episode.goal)}
@@ -171,7 +171,7 @@ class PushToGoal(PushGame):
         """Draws a pose (3,) in which the object is wholly on the table."""
         while True:
             pose = np.append(rng.uniform(-self._half, self._half), rng.uniform(-np.pi, np.pi))
-            if self.surface.contains_cells(shape.obj, pose, MARGIN):
+            if self.surface.contains_cells(shape.obj, pose, GOAL_EDGE_MARGIN):
                 return pose
 
 
@@ -191,11 +191,11 @@ def make_t() -> GridObject:
 class PushTHidden(PushToGoal):
     """`gridpush/PushTHidden-v0`: the T of PushT, with a hidden load, in four strokes to its goal.
 
-    The T's four parts have masses and frictions that nobody is told. `POKES` random pokes were made
-    and seen before. Then there are four strokes, each carried out as it was chosen, without
-    looking. So few leave no time to correct what a wrong model did. The score is the mean distance
-    of the cells from where they are at the goal, m. Reward: its decrease in decimeters, and 1 for
-    coming within 5 mm, which ends the episode.
+    The T's four parts have masses and frictions that nobody is told. `INITIAL_POKES` random pokes
+    were made and seen before. Then there are four strokes, each carried out as it was chosen,
+    without looking. So few leave no time to correct what a wrong model did. The score is the mean
+    distance of the cells from where they are at the goal, m. Reward: its decrease in decimeters,
+    and 1 for coming within 5 mm, which ends the episode.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"max_pushes": 4}
@@ -206,34 +206,34 @@ class PushTHidden(PushToGoal):
         """Options that the game has other defaults for, the T among them."""
         return {**cls.defaults, "objects": (make_t(),)}
 
-    def begin(self, rng: np.random.Generator) -> Episode:
+    def begin(self, rng: np.random.Generator) -> EpisodeState:
         """Draws the hidden load, pokes the T, and draws its goal."""
         shape, hidden = self.draw_object(rng)
         start = np.append(np.zeros(2), rng.uniform(-np.pi, np.pi))
-        episode = Episode(shape, hidden, rng, start, self.add_noise(start, rng))
+        episode = EpisodeState(shape, hidden, rng, start, self.add_noise(start, rng))
         # The pokes are made like strokes, but are worth nothing: there is no goal yet.
-        for _ in range(POKES):
+        for _ in range(INITIAL_POKES):
             action = np.append(rng.uniform(-1.0, 1.0, 2), POKE_DISTANCE)
             (episode,) = self.push([episode], [action])
         placed = replace(episode, goal=self._draw_goal(episode, rng))
         return replace(placed, score=self.measure(placed))
 
-    def is_cut_off(self, episode: Episode) -> bool:
+    def is_cut_off(self, episode: EpisodeState) -> bool:
         """Whether all strokes were made; the pokes are none."""
-        return len(episode.pushes) >= POKES + self.options.max_pushes
+        return len(episode.pushes) >= INITIAL_POKES + self.options.max_pushes
 
     def make_own_spaces(self) -> dict[str, Box]:
         """The goal, as the pose, and the pokes: action and motion of each."""
         # as the spaces of "last_action" and "last_motion", which a poke is told by
-        step = np.append(2 * (self._half + ROOM), np.pi)
+        step = np.append(2 * (self._half + SPACE_MARGIN), np.pi)
         limit = np.concatenate([np.ones(3), step])
-        limit = np.tile(limit, POKES).astype(np.float32)
+        limit = np.tile(limit, INITIAL_POKES).astype(np.float32)
         return {**super().make_own_spaces(), "pokes": Box(-limit, limit)}
 
-    def observe_own(self, episode: Episode) -> dict[str, Array]:
+    def observe_own(self, episode: EpisodeState) -> dict[str, Array]:
         """The goal, as the pose, and the pokes: action and motion of each."""
         rows = []
-        for seen in episode.pushes[:POKES]:
+        for seen in episode.pushes[:INITIAL_POKES]:
             before = seen.pose
             action = episode.shape.find_action(seen.push, before)
             # the motion in the T's own frame before the poke
@@ -243,7 +243,7 @@ class PushTHidden(PushToGoal):
             rows.append(np.concatenate([action, move, [turn]]))
         return {**super().observe_own(episode), "pokes": np.concatenate(rows)}
 
-    def _draw_goal(self, episode: Episode, rng: np.random.Generator) -> Array:
+    def _draw_goal(self, episode: EpisodeState, rng: np.random.Generator) -> Array:
         """A pose (3,) not far from where the T lies."""
         pose = episode.true_pose
         while True:
@@ -253,7 +253,7 @@ class PushTHidden(PushToGoal):
             x = pose[0] + distance * np.cos(angle)
             y = pose[1] + distance * np.sin(angle)
             goal = np.array([x, y, pose[2] + turn])
-            if self.surface.contains_cells(episode.shape.obj, goal, MARGIN):
+            if self.surface.contains_cells(episode.shape.obj, goal, GOAL_EDGE_MARGIN):
                 return goal
 
 
@@ -282,7 +282,7 @@ class SlideToEdge(PushGame):
                     f"objects: {shape.obj.name} has no part narrow enough to be grasped"
                 )
 
-    def begin(self, rng: np.random.Generator) -> Episode:
+    def begin(self, rng: np.random.Generator) -> EpisodeState:
         """Draws an object, and where it lies near the table's middle.
 
         It is drawn again where it cannot be grasped near enough to its center of mass.
@@ -295,9 +295,11 @@ class SlideToEdge(PushGame):
             )
             if near:
                 break
-        start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
+        start = np.append(
+            rng.uniform(-MAX_START_OFFSET, MAX_START_OFFSET, 2), rng.uniform(-np.pi, np.pi)
+        )
         score = float(calc_overhangs(near, start, self.surface).max())
-        return Episode(
+        return EpisodeState(
             shape=shape,
             hidden=hidden,
             rng=rng,
@@ -307,11 +309,11 @@ class SlideToEdge(PushGame):
             parts=near,
         )
 
-    def measure(self, episode: Episode) -> float:
+    def measure(self, episode: EpisodeState) -> float:
         """Calculates how far the part that is farthest out hangs over the edge, m."""
         return float(calc_overhangs(episode.parts, episode.true_pose, self.surface).max())
 
-    def judge(self, before: Episode, after: Episode) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
         """Rewards by how much farther out a part is."""
         overhang = self.measure(after)
         won = overhang >= 0 and not after.fallen
@@ -333,7 +335,7 @@ class Explore(PushGame):
     table = (4.0, 4.0)
     defaults: ClassVar[dict[str, Any]] = {"max_pushes": 8}
 
-    def begin(self, rng: np.random.Generator) -> Episode:
+    def begin(self, rng: np.random.Generator) -> EpisodeState:
         """Draws an object, and the pushes that the learner is tested on."""
         shape, hidden = self.draw_object(rng)
         start = np.append(np.zeros(2), rng.uniform(-np.pi, np.pi))
@@ -355,7 +357,7 @@ class Explore(PushGame):
         )
         model = _make_prior(shape)
         error = _calc_held_out_error(model, held_out)
-        return Episode(
+        return EpisodeState(
             shape=shape,
             hidden=hidden,
             rng=rng,
@@ -366,12 +368,12 @@ class Explore(PushGame):
             held_out=held_out,
         )
 
-    def measure(self, episode: Episode) -> float:
+    def measure(self, episode: EpisodeState) -> float:
         """Calculates how far, on average, the learner puts cells from where they truly end, m."""
         assert episode.model is not None
         return _calc_held_out_error(episode.model, episode.held_out)
 
-    def judge(self, before: Episode, after: Episode) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
         """Rewards by how much better the learner predicts."""
         assert before.model is not None
         model = learn(before.model, after.pushes[-1])
@@ -386,13 +388,13 @@ class Explore(PushGame):
         """
         return {"estimate": Box(-1.0, 1.0, (3,))}
 
-    def observe_own(self, episode: Episode) -> dict[str, Array]:
+    def observe_own(self, episode: EpisodeState) -> dict[str, Array]:
         """Returns what the learner says of the center of friction."""
         model = episode.model
         assert model is not None
         F = make_center_functional(model)
         posterior = model.require_posterior()
-        center = posterior.calc_share() @ model.obj.p_BC
+        center = posterior.calc_fraction() @ model.obj.p_BC
         return {"estimate": np.append(center, calc_worst_std(F @ posterior.covariance @ F.T))}
 
 
@@ -401,9 +403,9 @@ class Explore(PushGame):
 def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
     """Takes in where a push was seen to end; gives the same model where the push told nothing.
 
-    With z = (log k, log mu_c) ~ N(mean, S) of `identification.posterior`, r the residual of the
-    push, J its exact derivative by z and R its noise, it makes one step of the extended Kalman
-    filter, taken twice, the second time at the new mean:
+    With z = (log k, log mu_c) ~ N(mean, S) of `identification.statistics.posterior`, r the residual
+    of the push, J its exact derivative by z and R its noise, it makes one step of the extended
+    Kalman filter, taken twice, the second time at the new mean:
 
         K     = S J^T (J S J^T + R)^-1
         mean' = mean - K (r + J (mean - at))
@@ -414,7 +416,7 @@ def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
     problem = PushProblem(model.obj, PushLog((end,)), model.params, model.physics)
     mean = before.mean
     S = before.covariance
-    for _ in range(ITERATIONS):
+    for _ in range(FILTER_ITERATIONS):
         linear = problem.linearize(mean)
         J = linear.by_z[0]
         r = linear.residuals[0]
@@ -439,7 +441,7 @@ def _make_prior(shape: KnownShape) -> UncertainModel:
     return UncertainModel.of_prior(shape.obj)
 
 
-GAMES: dict[str, type[PushGame]] = {
+GAME_CLASSES: dict[str, type[PushGame]] = {
     game.__name__: game for game in (PushToGoal, SlideToEdge, Explore, PushTHidden)
 }
 """The games by their environments' names."""

@@ -2,7 +2,7 @@
 
 It is given as arrays whose sizes are the same for every object.
 
-A place on the outline is a share of its reachable length (`planning.contact.reachable_outline`),
+A place on the outline is a fraction of its reachable length (`planning.contact.reachable_outline`),
 from 0 to 1, so that the finger fits at every place.
 """
 
@@ -23,24 +23,24 @@ from gridpush_drake.planning.contact.reachable_outline import (
     find_reachable_outline,
 )
 from gridpush_drake.planning.contact.trial import ContactOptions
-from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, find_grasp_parts
+from gridpush_drake.planning.pregrasp.grasp.grasp_parts import GraspPart, find_grasp_parts
 
-PLACES = 64
+PLACE_COUNT = 64
 """Number of places on the outline that are observed."""
 
-PIXELS = 48
+PICTURE_PIXELS = 48
 """Number of pixels of the occupancy picture along each side."""
 
-WINDOW = 0.48
+PICTURE_SIDE = 0.48
 """Length of the picture's side, m."""
 
-OCCUPIED = 255
+OCCUPIED_VALUE = 255
 """Value of a pixel within the object."""
 
 FINGER_RADIUS = DEFAULT_PUSHER_RADIUS
 """Radius of the games' finger, whatever the objects' files say, m."""
 
-FINGER = ContactOptions(Pusher(FINGER_RADIUS), distance_range=(0.01, 0.15))
+FINGER_OPTIONS = ContactOptions(Pusher(FINGER_RADIUS), distance_range=(0.01, 0.15))
 """The finger and the pushes that it can make."""
 
 
@@ -56,39 +56,44 @@ class KnownShape:
 
     def __post_init__(self) -> None:
         width = np.ptp(np.reshape(self.obj.outline.bounds, (2, 2)), axis=0).max()
-        if width > WINDOW:
+        if width > PICTURE_SIDE:
             raise PlanningError(
-                f"{self.obj.name}: is {width:.3g} m wide; expected at most {WINDOW:g} m in these "
+                f"{self.obj.name}: is {width:.3g} m wide; expected at most {PICTURE_SIDE:g} m in "
+                "these "
                 "games"
             )
 
     @cached_property
     def reachable(self) -> ReachableOutline:
         """The part of the outline that the finger can touch."""
-        return find_reachable_outline(self.obj, FINGER_RADIUS, FINGER.pusher.clearance)
+        return find_reachable_outline(self.obj, FINGER_RADIUS, FINGER_OPTIONS.pusher.clearance)
 
     @cached_property
     def outline(self) -> Array:
-        """Points at the shares 0, 1/PLACES, ..., m, and inward unit normals there (PLACES, 4).
+        """Points at 0, 1/PLACE_COUNT, ... of the outline, m, and inward normals (PLACE_COUNT, 4).
 
         They are in the body frame.
         """
-        s, piece = self.reachable.locate(np.arange(PLACES) / PLACES)
+        s, piece = self.reachable.locate(np.arange(PLACE_COUNT) / PLACE_COUNT)
         return np.column_stack([self.reachable.point(s, piece), -self.reachable.normal[piece]])
 
     @cached_property
     def occupancy(self) -> NDArray[np.uint8]:
-        """Picture (PIXELS, PIXELS, 1) of the cells about their centroid, OCCUPIED where one is.
+        """Picture (PICTURE_PIXELS, PICTURE_PIXELS, 1) of the cells, OCCUPIED_VALUE where one is.
 
         Its rows go along -y, and its columns along x, of the body frame.
         """
-        along = WINDOW * ((np.arange(PIXELS) + 0.5) / PIXELS - 0.5)
+        along = PICTURE_SIDE * ((np.arange(PICTURE_PIXELS) + 0.5) / PICTURE_PIXELS - 0.5)
         pixels = np.stack(np.meshgrid(along, -along), axis=-1).reshape(-1, 2) + self.obj.p_BC.mean(
             axis=0
         )
         half = self.obj.cell_size / 2
         inside = (np.abs(pixels[:, None] - self.obj.p_BC).max(axis=-1) <= half).any(axis=1)
-        return np.where(inside, OCCUPIED, 0).astype(np.uint8).reshape(PIXELS, PIXELS, 1)
+        return (
+            np.where(inside, OCCUPIED_VALUE, 0)
+            .astype(np.uint8)
+            .reshape(PICTURE_PIXELS, PICTURE_PIXELS, 1)
+        )
 
     @cached_property
     def grasp_parts(self) -> tuple[GraspPart, ...]:
@@ -106,21 +111,21 @@ class KnownShape:
         Raises:
             PlanningError: the action is not three finite numbers.
         """
-        share, angle, distance = (
+        fraction, angle, distance = (
             np.clip(check_vector(PlanningError, "action", action, 3), -1.0, 1.0) + 1.0
         ) / 2.0
-        s, _ = self.reachable.locate(share % 1.0)
-        low, high = FINGER.angle_range
-        least, greatest = FINGER.distance_range
+        s, _ = self.reachable.locate(fraction % 1.0)
+        low, high = FINGER_OPTIONS.angle_range
+        least, greatest = FINGER_OPTIONS.distance_range
         return Push.on_outline(
             self.obj,
             float(s),
             low + (high - low) * angle,
             least + (greatest - least) * distance,
             radius=FINGER_RADIUS,
-            speed=FINGER.pusher.speed,
+            speed=FINGER_OPTIONS.pusher.speed,
             pose=pose,
-            clearance=FINGER.pusher.clearance,
+            clearance=FINGER_OPTIONS.pusher.clearance,
         )
 
     def find_action(self, push: Push, pose: Array) -> NDArray[np.float32]:
@@ -133,7 +138,7 @@ class KnownShape:
         # The piece of the outline that is nearest to the finger's surface.
         reach = self.reachable
         normal = reach.normal
-        away = (FINGER_RADIUS + FINGER.pusher.clearance) * normal
+        away = (FINGER_RADIUS + FINGER_OPTIONS.pusher.clearance) * normal
         start = transform_back(pose, push.start[None])[0] - away
         along = np.clip(((start - reach.origin) * reach.tangent).sum(axis=1), reach.low, reach.high)
         off = np.linalg.norm(reach.origin + along[:, None] * reach.tangent - start, axis=1)
@@ -143,8 +148,8 @@ class KnownShape:
         heading = np.arctan2(push.velocity[1], push.velocity[0]) - pose[2]
         inwards = np.arctan2(-normal[piece, 1], -normal[piece, 0])
         angle = (heading - inwards + np.pi) % (2 * np.pi) - np.pi
-        ranges = np.array([(0.0, 1.0), FINGER.angle_range, FINGER.distance_range])
-        values = np.array([reach.calc_share(float(along[piece]), piece), angle, push.length])
+        ranges = np.array([(0.0, 1.0), FINGER_OPTIONS.angle_range, FINGER_OPTIONS.distance_range])
+        values = np.array([reach.calc_fraction(float(along[piece]), piece), angle, push.length])
         action = 2 * (values - ranges[:, 0]) / np.ptp(ranges, axis=1) - 1
         return np.clip(action, -1.0, 1.0).astype(np.float32)
 

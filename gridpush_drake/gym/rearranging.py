@@ -17,9 +17,16 @@ from PIL import Image, ImageDraw
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.gym.episode import OBJECTS, flatten_pose
-from gridpush_drake.gym.known_shape import FINGER_RADIUS, PLACES, KnownShape, load_shape
-from gridpush_drake.gym.rendering import FLOOR, GOAL, LINE, SMOOTHING, TIP, WOOD
+from gridpush_drake.gym.episode import EPISODE_OBJECTS, flatten_pose
+from gridpush_drake.gym.known_shape import FINGER_RADIUS, PLACE_COUNT, KnownShape, load_shape
+from gridpush_drake.gym.rendering import (
+    FLOOR_COLOR,
+    GOAL_COLOR,
+    LINE_WIDTH,
+    PUSH_COLOR,
+    SUPERSAMPLING,
+    TABLE_COLOR,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.scene.random_scenes import hide, scatter
@@ -28,10 +35,10 @@ from gridpush_drake.planning.scene.rules import place_outlines
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import SimulatedWorld
 
-TABLE = 1.2
+TABLE_SIDE = 1.2
 """Side of the table, m; its middle is the world's origin."""
 
-ROOM = 0.5
+SPACE_MARGIN = 0.5
 """Distance beyond the table's edge that the space of poses reaches, m."""
 
 START_GAP = 0.01
@@ -43,16 +50,16 @@ GOAL_GAP = 0.03
 PER_METER = 10.0
 """Reward for a meter that all objects together come nearer to their goals."""
 
-FALLEN = -1.0
+FALLEN_REWARD = -1.0
 """Reward for pushing an object off the table, which ends the episode."""
 
 PICTURE_SIZE = 480
 """Side of what `render` gives, pixels."""
 
-METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 2}
+RENDER_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 2}
 """What the environment tells Gymnasium of its pictures."""
 
-COLORS = ((96, 120, 160), (170, 110, 70), (90, 140, 90), (150, 90, 140), (120, 120, 60))
+OBJECT_COLORS = ((96, 120, 160), (170, 110, 70), (90, 140, 90), (150, 90, 140), (120, 120, 60))
 """Colors of the objects, RGB from 0 to 255."""
 
 
@@ -60,7 +67,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
     """Several objects are to be brought to goals, one push a step.
 
     An action is (object, place, direction, distance), each from -1 to 1: which of the objects, in
-    equal shares of that range, and the push of it as `PushEnvironment` has it. Where the finger
+    equal fractions of that range, and the push of it as `PushEnvironment` has it. Where the finger
     does not fit beside the object, because another one lies there, nothing moves. An observation is
     a dictionary; lengths are in m, and everything is as it was seen, with noise:
 
@@ -79,14 +86,14 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
         goals: (N, 3) their goals, m and rad.
     """
 
-    metadata = METADATA
+    metadata = RENDER_METADATA
 
     def __init__(
         self,
         render_mode: str | None = None,
         *,
         count: int = 3,
-        objects: Sequence[str | GridObject] = OBJECTS,
+        objects: Sequence[str | GridObject] = EPISODE_OBJECTS,
         max_pushes: int = 40,
         position_std: float = 0.0005,
         angle_std: float = 0.003,
@@ -123,7 +130,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
         self._max_pushes = max_pushes
         self._position_std = position_std
         self._angle_std = angle_std
-        self._surface = SupportSurface.rectangle((0.0, 0.0), (TABLE, TABLE))
+        self._surface = SupportSurface.rectangle((0.0, 0.0), (TABLE_SIDE, TABLE_SIDE))
         self._last_action = np.zeros(4)
         self._last_push: Push | None = None
         self._seen = np.zeros((count, 3))
@@ -132,12 +139,12 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
 
     def _make_spaces(self) -> dict[str, Box]:
         """Makes the spaces of the observation."""
-        far = TABLE / 2 + ROOM
+        far = TABLE_SIDE / 2 + SPACE_MARGIN
         limit = np.tile(np.array([far, far, 1.0, 1.0], dtype=np.float32), (self._count, 1))
         return {
             "poses": Box(-limit, limit),
             "goals": Box(-limit, limit),
-            "outlines": Box(-1.0, 1.0, (self._count, 4 * PLACES)),
+            "outlines": Box(-1.0, 1.0, (self._count, 4 * PLACE_COUNT)),
             "last_action": Box(-1.0, 1.0, (4,)),
             "table": Box(0.0, far, (2,)),
         }
@@ -151,8 +158,8 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
         drawn = rng.permutation(len(self._known))[: self._count]
         self.shapes = [self._known[int(i)] for i in drawn]
         objects = [shape.obj for shape in self.shapes]
-        start = scatter(objects, rng, START_GAP, TABLE / 4)
-        self.goals = scatter(objects, rng, GOAL_GAP, TABLE / 4)
+        start = scatter(objects, rng, START_GAP, TABLE_SIDE / 4)
+        self.goals = scatter(objects, rng, GOAL_GAP, TABLE_SIDE / 4)
         self.world = SimulatedWorld(
             hide(objects, rng),
             start,
@@ -189,7 +196,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
             self._seen = self._look(world)
         score = self._measure()
         won = self._is_done() and not fell
-        reward = FALLEN if fell else PER_METER * (before - score)
+        reward = FALLEN_REWARD if fell else PER_METER * (before - score)
         cut_off = not (won or fell) and world.pushes >= self._max_pushes
         return self._observe(), reward, won or fell, cut_off, {"score": score, "is_success": won}
 
@@ -200,39 +207,41 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
             body: number of the object.
             push: the push, with the radius of the game's finger.
         """
-        share = 2 * (body + 0.5) / self._count - 1
+        fraction = 2 * (body + 0.5) / self._count - 1
         rest = self.shapes[body].find_action(push, self._seen[body])
-        return np.append(share, rest).astype(np.float32)
+        return np.append(fraction, rest).astype(np.float32)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draws the scene from above: objects, goals and the last push."""
         if self.render_mode is None or self.world is None:
             return None
-        scale = SMOOTHING * PICTURE_SIZE / (TABLE + 2 * EDGE)
-        image = Image.new("RGB", (SMOOTHING * PICTURE_SIZE,) * 2, FLOOR)
+        scale = SUPERSAMPLING * PICTURE_SIZE / (TABLE_SIDE + 2 * FLOOR_WIDTH)
+        image = Image.new("RGB", (SUPERSAMPLING * PICTURE_SIZE,) * 2, FLOOR_COLOR)
         brush = ImageDraw.Draw(image)
-        width = max(1, round(LINE * scale))
+        width = max(1, round(LINE_WIDTH * scale))
 
         def place(points: Array) -> list[tuple[float, float]]:
-            pixels = (np.asarray(points) * (1, -1) + TABLE / 2 + EDGE) * scale
+            pixels = (np.asarray(points) * (1, -1) + TABLE_SIDE / 2 + FLOOR_WIDTH) * scale
             return [(float(x), float(y)) for x, y in pixels]
 
         objects = [shape.obj for shape in self.shapes]
-        brush.polygon(place(self._surface.corners), fill=WOOD)
+        brush.polygon(place(self._surface.corners), fill=TABLE_COLOR)
         for b, outline in enumerate(place_outlines(objects, self.world.truth.pose)):
-            brush.polygon(place(outline.exterior.coords), fill=COLORS[b % len(COLORS)])
+            brush.polygon(
+                place(outline.exterior.coords), fill=OBJECT_COLORS[b % len(OBJECT_COLORS)]
+            )
         for b, outline in enumerate(place_outlines(objects, self.goals)):
             line = place(outline.exterior.coords)
-            brush.line(line, fill=GOAL, width=2 * width)
-            brush.line(line, fill=COLORS[b % len(COLORS)], width=width)
+            brush.line(line, fill=GOAL_COLOR, width=2 * width)
+            brush.line(line, fill=OBJECT_COLORS[b % len(OBJECT_COLORS)], width=width)
         if self._last_push is not None:
-            brush.line(place(self._last_push.xy), fill=TIP, width=width)
-        return np.asarray(image.reduce(SMOOTHING))
+            brush.line(place(self._last_push.xy), fill=PUSH_COLOR, width=width)
+        return np.asarray(image.reduce(SUPERSAMPLING))
 
     def _make_push(self, action: Array) -> Push:
         """Makes the push of an action (4,)."""
-        share = (action[0] + 1) / 2
-        body = int(share * self._count)
+        fraction = (action[0] + 1) / 2
+        body = int(fraction * self._count)
         body = min(body, self._count - 1)
         shape = self.shapes[body]
         return shape.make_push(action[1:], self._seen[body])
@@ -281,7 +290,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
             "goals": goals,
             "outlines": outlines,
             "last_action": self._last_action,
-            "table": np.full(2, TABLE / 2),
+            "table": np.full(2, TABLE_SIDE / 2),
         }
         seen = {}
         for name, space in self._make_spaces().items():
@@ -291,5 +300,5 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
         return seen
 
 
-EDGE = 0.1
+FLOOR_WIDTH = 0.1
 """Width of the floor that is seen around the table, m."""

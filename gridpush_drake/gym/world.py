@@ -8,7 +8,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.gym.environments import PushEnvironment
-from gridpush_drake.gym.episode import Episode
+from gridpush_drake.gym.episode import EpisodeState
 from gridpush_drake.planning.world import WorldTruth
 from gridpush_drake.pushes.push_log import ObservedPush
 
@@ -35,7 +35,7 @@ class EnvironmentWorld:
         env.reset(seed=seed)
 
     @property
-    def episode(self) -> Episode:
+    def episode(self) -> EpisodeState:
         """The present episode."""
         assert self.env.episode is not None
         return self.env.episode

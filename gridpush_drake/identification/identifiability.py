@@ -12,25 +12,23 @@ import numpy as np
 from scipy.optimize import linprog
 
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.absolute import (
-    SIGMAS,
+from gridpush_drake.identification.absolute.estimate import (
+    INTERVAL_SIGMAS,
     AbsoluteEstimate,
     TiltingLine,
     describe_sources,
 )
-from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.identification.absolute.force_scale import ForceScale
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.posterior import (
-    CELLS,
-    LEARNED_SHARE,
+from gridpush_drake.identification.statistics.posterior import (
+    CELL_ENTRIES,
+    LEARNED_FRACTION,
     Posterior,
     compare_covariances,
 )
 from gridpush_drake.notebook import make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
-
-MM = 1e3
-"""Millimeters in a meter."""
+from gridpush_drake.units import MM_PER_M
 
 RANK_TOLERANCE = 1e-9
 """Relative length below which a direction that is left over counts as none."""
@@ -49,7 +47,8 @@ class Identifiability:
             determined.
         null_space: (n - learned_directions, n) orthonormal basis of those they did not; its first
             row is the common scale, which no slow push shows.
-        learned_share: (n,) share of each cell's prior variance that the pushes took away, 0 to 1.
+        learned_share: (n,) fraction of each cell's prior variance that the pushes took away, 0 to
+            1.
         mass_min: (n,) kg, the least mass each cell may have, given the friction bounds and the
             total mass.
         mass_max: (n,) kg, the greatest mass each cell may have.
@@ -72,7 +71,7 @@ class Identifiability:
 
     def __repr__(self) -> str:
         """How much is known, in a line."""
-        x, y = self.center_of_friction * MM
+        x, y = self.center_of_friction * MM_PER_M
         return (
             f"Identifiability: {self.learned_directions} of {len(self.relative_friction)} "
             "combinations of the cells' friction are known, "
@@ -105,46 +104,46 @@ def calc_identifiability(
     """
     obj = model.obj
     params = model.params
-    share = posterior.calc_share()
-    share_covariance = posterior.calc_share_covariance()
+    fraction = posterior.calc_fraction()
+    fraction_covariance = posterior.calc_fraction_covariance()
 
     # What the pushes showed of the friction: which combinations, and of each cell by itself.
-    prior = posterior.prior_covariance[CELLS, CELLS]
-    after = posterior.covariance[CELLS, CELLS]
+    prior = posterior.prior_covariance[CELL_ENTRIES, CELL_ENTRIES]
+    after = posterior.covariance[CELL_ENTRIES, CELL_ENTRIES]
     null_space = _calc_null_space(prior, after)
     learned = obj.n - len(null_space)
     learned_share = np.clip(1 - np.diag(after) / np.diag(prior), 0.0, 1.0)
 
     # c = sum_i x_i p_i is linear in the shares.
-    center = share @ obj.p_BC
-    center_covariance = obj.p_BC.T @ share_covariance @ obj.p_BC
+    center = fraction @ obj.p_BC
+    center_covariance = obj.p_BC.T @ fraction_covariance @ obj.p_BC
     center_std = np.sqrt(np.maximum(np.diag(center_covariance), 0.0))
 
     # Mass by itself is known only within what the friction bounds leave. Measured forces narrow
     # that, if they agree with the mass that was told.
-    mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj, force)
-    wide = calc_center_of_mass_box(share, obj)
+    mass_min, mass_max = _calc_mass_bounds(fraction, params.total_mass, obj, force)
+    wide = calc_center_of_mass_box(fraction, obj)
     box = wide
     mean_friction = None if force is None else force.calc_mean_friction_bounds(obj)
     if mean_friction is not None:
-        box = _calc_box_of_known_scale(share, obj, *mean_friction)
+        box = _calc_box_of_known_scale(fraction, obj, *mean_friction)
 
-    weighed_box = None
+    center_box = None
     weighed = absolute is not None and not absolute.contradictory
     if absolute is not None and weighed:
         # The object's mass is known now, whatever the forces bounded it to.
-        mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj, None)
-        weighed_box = _cut_box(wide, absolute)
-    statements = _describe(obj, learned, learned_share, center_std, wide, weighed_box)
+        mass_min, mass_max = _calc_mass_bounds(fraction, params.total_mass, obj, None)
+        center_box = _cut_box(wide, absolute)
+    statements = _describe(obj, learned, learned_share, center_std, wide, center_box)
     if force is not None:
         # The first statement is that the common scale is not known: with forces it is.
         scale = _describe_force(obj, force, wide, box, weighed)
         statements = (scale, *statements[1:])
     if absolute is not None:
-        statements = (_describe_weighings(absolute), *statements)
+        statements = (_describe_mass_tests(absolute), *statements)
     return Identifiability(
-        relative_friction=share,
-        relative_friction_std=np.sqrt(np.maximum(np.diag(share_covariance), 0.0)),
+        relative_friction=fraction,
+        relative_friction_std=np.sqrt(np.maximum(np.diag(fraction_covariance), 0.0)),
         center_of_friction=center,
         center_of_friction_covariance=center_covariance,
         learned_directions=learned,
@@ -152,7 +151,7 @@ def calc_identifiability(
         learned_share=learned_share,
         mass_min=mass_min,
         mass_max=mass_max,
-        center_of_mass_box=box if weighed_box is None else weighed_box,
+        center_of_mass_box=box if center_box is None else center_box,
         statements=statements,
     )
 
@@ -182,18 +181,18 @@ def calc_farthest_center(p: Array, mass_min: Array, mass_max: Array) -> Array:
     return np.asarray((moment / mass).max(axis=1))
 
 
-def calc_center_of_mass_box(share: Array, obj: GridObject) -> Array:
+def calc_center_of_mass_box(fraction: Array, obj: GridObject) -> Array:
     """Bounds of the center of mass over all m_i in [k_i/mu_max, k_i/mu_min], up to a common scale.
 
     Args:
-        share: (n,) k, summing to one.
+        fraction: (n,) k, summing to one.
         obj: the object, with its friction bounds.
 
     Returns:
         (2, 2) rows least and greatest, columns x and y, m, body frame.
     """
-    light = share[None] / obj.prior.friction_max
-    heavy = share[None] / obj.prior.friction_min
+    light = fraction[None] / obj.prior.friction_max
+    heavy = fraction[None] / obj.prior.friction_min
     # The least is the farthest on the mirrored axis.
     farthest = [
         [sign * calc_farthest_center(sign * p, light, heavy)[0] for p in obj.p_BC.T]
@@ -212,7 +211,9 @@ def _sum_down(values: Array) -> Array:
     return _sum_up(values[:, ::-1])[:, ::-1]
 
 
-def _calc_box_of_known_scale(share: Array, obj: GridObject, lowest: float, highest: float) -> Array:
+def _calc_box_of_known_scale(
+    fraction: Array, obj: GridObject, lowest: float, highest: float
+) -> Array:
     """Calculates the box of centers of mass where the mean friction coefficient is known.
 
     Each side is a linear program in a_i = m_i / M and the mean coefficient t (section 10):
@@ -220,7 +221,7 @@ def _calc_box_of_known_scale(share: Array, obj: GridObject, lowest: float, highe
         max a·p,    sum a_i = 1,    x_i t / mu_max <= a_i <= x_i t / mu_min
 
     Args:
-        share: (n,) x, summing to one.
+        fraction: (n,) x, summing to one.
         obj: the object, with its friction bounds and its mass M.
         lowest: the least t.
         highest: the greatest t.
@@ -231,8 +232,8 @@ def _calc_box_of_known_scale(share: Array, obj: GridObject, lowest: float, highe
     # The unknowns are (a, t). First a_i - x_i t / mu_min <= 0, then x_i t / mu_max - a_i <= 0.
     n = obj.n
     identity = np.eye(n)
-    heaviest = [identity, -(share / obj.prior.friction_min)[:, None]]
-    lightest = [-identity, (share / obj.prior.friction_max)[:, None]]
+    heaviest = [identity, -(fraction / obj.prior.friction_min)[:, None]]
+    lightest = [-identity, (fraction / obj.prior.friction_max)[:, None]]
     A = np.block([heaviest, lightest])
     bounds = [(0.0, 1.0)] * n + [(lowest, highest)]
     box = np.empty((2, 2))
@@ -251,7 +252,7 @@ def _calc_box_of_known_scale(share: Array, obj: GridObject, lowest: float, highe
 
 
 def _calc_mass_bounds(
-    share: Array, total_mass: float, obj: GridObject, force: ForceScale | None
+    fraction: Array, total_mass: float, obj: GridObject, force: ForceScale | None
 ) -> tuple[Array, Array]:
     """Calculates each cell's least and greatest mass, kg.
 
@@ -267,12 +268,12 @@ def _calc_mass_bounds(
         # Section 10: as for the whole object, with x_i K in place of K.
         lightest, heaviest = force.calc_mass_bounds(obj)
         if unknown:
-            return share * lightest, share * heaviest
-        least, most = _calc_mass_bounds(share, total_mass, obj, None)
-        return np.maximum(least, share * lightest), np.minimum(most, share * heaviest)
+            return fraction * lightest, fraction * heaviest
+        least, most = _calc_mass_bounds(fraction, total_mass, obj, None)
+        return np.maximum(least, fraction * lightest), np.minimum(most, fraction * heaviest)
     # Section 2: m_i is proportional to x_i / mu_i, and all masses add up to the total.
-    least = (share / high) / (share / high + (1 - share) / low)
-    most = (share / low) / (share / low + (1 - share) / high)
+    least = (fraction / high) / (fraction / high + (1 - fraction) / low)
+    most = (fraction / low) / (fraction / low + (1 - fraction) / high)
     return total_mass * least, total_mass * most
 
 
@@ -285,11 +286,11 @@ def _calc_null_space(prior: Array, after: Array) -> Array:
 
     Returns:
         An orthonormal basis (m, n) of the directions whose prior variance the pushes did not reduce
-        by LEARNED_SHARE, the common scale first.
+        by LEARNED_FRACTION, the common scale first.
     """
     n = len(prior)
     ratio, directions, root, _ = compare_covariances(prior, after)
-    unknown = (root @ directions[:, ratio > 1 - LEARNED_SHARE]).T
+    unknown = (root @ directions[:, ratio > 1 - LEARNED_FRACTION]).T
 
     # QR keeps the first row, and makes the others orthogonal to it. What is nothing but the
     # common scale is left with next to no length, and is dropped.
@@ -354,13 +355,13 @@ def _cut_box(box: Array, absolute: AbsoluteEstimate) -> Array:
 
     If both have no point in common, the weighings are believed.
     """
-    reach = SIGMAS * absolute.center_std
+    reach = INTERVAL_SIGMAS * absolute.center_std
     known = np.array([absolute.center_of_mass - reach, absolute.center_of_mass + reach])
     both = np.array([np.maximum(box[0], known[0]), np.minimum(box[1], known[1])])
     return both if (both[0] < both[1]).all() else known
 
 
-def _describe_weighings(absolute: AbsoluteEstimate) -> str:
+def _describe_mass_tests(absolute: AbsoluteEstimate) -> str:
     """Says what weighings show."""
     if absolute.contradictory:
         return (
@@ -371,8 +372,8 @@ def _describe_weighings(absolute: AbsoluteEstimate) -> str:
         ).rstrip()
     low, high = absolute.mass_interval
     least, most = absolute.friction_interval
-    x, y = absolute.center_of_mass * MM
-    std = absolute.center_std * MM
+    x, y = absolute.center_of_mass * MM_PER_M
+    std = absolute.center_std * MM_PER_M
     words = (
         f"Weighed by {describe_sources(absolute)}: the object weighs {absolute.total_mass:.3g} kg "
         f"({low:.3g} to {high:.3g} kg with a probability of 95 %), and its center of mass is at "
@@ -392,14 +393,17 @@ def _describe_tests(absolute: AbsoluteEstimate) -> str:
     for i, one in enumerate(absolute.tests):
         if one.line == TiltingLine.EDGE:
             continue
-        told = f"press {i + 1} gave way at {one.force:.2f} N, where {one.expected:.2f} N "
-        told += f"({one.residual:+.1f} standard deviations) are expected of a tilt about the edge"
+        statement = f"press {i + 1} gave way at {one.force:.2f} N, where {one.expected:.2f} N "
+        statement += (
+            f"({one.residual:+.1f} standard deviations) are expected of a tilt about the edge"
+        )
         if one.line == TiltingLine.NONE:
-            words.append(f"{told}, and is left out")
+            words.append(f"{statement}, and is left out")
         else:
             assert one.support_distance is not None
             words.append(
-                f"{told}: it rocked on supports {one.support_distance * MM:.0f} mm inside the edge"
+                f"{statement}: it rocked on supports {one.support_distance * MM_PER_M:.0f} mm "
+                "inside the edge"
             )
     if not words:
         return ""
@@ -424,7 +428,7 @@ def _describe_patterns(obj: GridObject, patterns: int, cells: int) -> str:
 
 def _describe_size(box: Array) -> str:
     """Says how wide and how high a box (2, 2), m, is."""
-    x, y = np.diff(box, axis=0)[0] * MM
+    x, y = np.diff(box, axis=0)[0] * MM_PER_M
     return f"{x:.0f} mm by {y:.0f} mm"
 
 
@@ -434,17 +438,17 @@ def _describe(
     learned_share: Array,
     center_std: Array,
     box: Array,
-    weighed_box: Array | None,
+    center_box: Array | None,
 ) -> tuple[str, ...]:
     """Says in sentences what slow pushes observed by their poses show, and what they cannot.
 
     Args:
         obj: the object.
         learned: number of combinations of the cells' log friction that the pushes determined.
-        learned_share: (n,) share of each cell's prior variance that they took away.
+        learned_share: (n,) fraction of each cell's prior variance that they took away.
         center_std: (2,) standard deviation of the center of friction, m.
         box: (2, 2) box of possible centers of mass by the pushes and the friction's bounds, m.
-        weighed_box: (2, 2) what weighings leave of it, m; None of an object that was not weighed.
+        center_box: (2, 2) what weighings leave of it, m; None of an object that was not weighed.
     """
     total = (
         "that they add up to the known total mass"
@@ -453,12 +457,12 @@ def _describe(
     )
     supposed = f"suppose that all cells have the same friction coefficient, and {total}"
     rest = "with equal coefficients it is at the center of friction"
-    if weighed_box is not None:
+    if center_box is not None:
         supposed = (
             "are those nearest to it, as a whole, that have the weighed mass and center of mass"
         )
-        rest = f"the weighings leave {_describe_size(weighed_box)} of it"
-    known_cells = int((learned_share >= LEARNED_SHARE).sum())
+        rest = f"the weighings leave {_describe_size(center_box)} of it"
+    known_cells = int((learned_share >= LEARNED_FRACTION).sum())
     low = obj.prior.friction_min
     high = obj.prior.friction_max
     return (
@@ -467,8 +471,8 @@ def _describe(
         "Not identifiable from these data: mass and friction of a cell apart. Only their product, "
         f"relative to the other cells', acts on a slow push; the masses shown {supposed}.",
         _describe_patterns(obj, learned, known_cells),
-        f"The center of friction is known to {MM * center_std[0]:.1f} mm in x "
-        f"and {MM * center_std[1]:.1f} mm in y (one standard deviation).",
+        f"The center of friction is known to {MM_PER_M * center_std[0]:.1f} mm in x "
+        f"and {MM_PER_M * center_std[1]:.1f} mm in y (one standard deviation).",
         "Were the friction of each cell exactly as estimated, friction coefficients anywhere from "
         f"{low:g} to {high:g} would still leave the center of mass anywhere in a box of "
         f"{_describe_size(box)}; {rest}.",

@@ -31,13 +31,13 @@ from gridpush_drake.dynamics.push import make_times_with
 from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.hypotheses import WEAKNESS
+from gridpush_drake.identification.fit.hypotheses import AMPLITUDE_EXPONENT
+from gridpush_drake.identification.fit.load_prior import calc_smooth_covariance
 from gridpush_drake.identification.joint_problem import JointProblem
 from gridpush_drake.identification.joint_result import UNEXPLAINED, JointIdentification
-from gridpush_drake.identification.load_prior import calc_smooth_covariance
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_cell_errors
-from gridpush_drake.identification.robust_least_squares import RobustFit, fit_robustly
+from gridpush_drake.identification.statistics.robust_least_squares import RobustFit, fit_robustly
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -113,7 +113,7 @@ def identify_together(
         if others[-1].evidence > fits[-1].evidence:
             fits = others
     evidence = np.array([fit.evidence for fit in fits])
-    weighted = evidence - WEAKNESS * np.log(amplitudes)
+    weighted = evidence - AMPLITUDE_EXPONENT * np.log(amplitudes)
     best = fits[int(np.argmax(weighted))]
     learned = problem.make_model(best.z)
     return JointIdentification(

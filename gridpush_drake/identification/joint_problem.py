@@ -9,7 +9,7 @@ import numpy as np
 from gridpush_drake.dynamics.motion import Jacobian
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.problem import TimedPush, make_even_parameters
+from gridpush_drake.identification.statistics.problem import TimedPush, make_even_parameters
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog

@@ -9,24 +9,25 @@ from numpy.typing import NDArray
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.model import Model, check_draws
-from gridpush_drake.identification.noise import NoiseModel
-from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import Identification, IdentificationStatus
-from gridpush_drake.notebook import MM, count
+from gridpush_drake.identification.statistics.noise import NoiseModel
+from gridpush_drake.identification.statistics.posterior import Posterior
+from gridpush_drake.notebook import count
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.units import MM_PER_M
 
 METHOD = "scene"
 """Name of the method in the models."""
 
 LITTLE = 0.5
-"""Share of the pushes that the model does not explain from which on it explains little."""
+"""Fraction of the pushes that the model does not explain from which on it explains little."""
 
 UNEXPLAINED = 4.0
 """Root mean square of a push's residuals, in units of the noise, beyond which the model does not
 explain the push."""
 
 SHOWN = 0.8
-"""Share of the standard deviation beforehand that is left of what pushes did show, at most."""
+"""Fraction of the standard deviation beforehand that is left of what pushes did show, at most."""
 
 MAX_LOG_FRICTION = 1.0
 """Farthest that the logarithm of a drawn contact friction is from the best model's."""
@@ -97,10 +98,10 @@ class JointIdentification(Model):
         """
         obj = self.objects[body]
         params = self.parameters[body]
-        share = params.relative_friction()
-        center = share @ obj.p_BC
+        fraction = params.relative_friction()
+        center = fraction @ obj.p_BC
         # dc = sum of share_i (p_i - c) dlog k_i
-        J = (share[:, None] * (obj.p_BC - center)).T
+        J = (fraction[:, None] * (obj.p_BC - center)).T
         cells = self._cells(body)
         return center, J @ self.covariance[np.ix_(cells, cells)] @ J.T
 
@@ -214,16 +215,18 @@ def _make_part(found: JointIdentification, body: int) -> Identification:
         covariance=found.covariance[block],
         prior_covariance=found.prior_covariance[block],
     )
-    share = posterior.calc_share()
-    relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
+    fraction = posterior.calc_fraction()
+    relative_std = (
+        np.sqrt(np.maximum(np.diag(posterior.calc_fraction_covariance()), 0.0)) / fraction
+    )
     std = CellParameters(
         mass=np.maximum(params.mass * relative_std, np.finfo(float).tiny),
         friction=np.full(obj.n, obj.prior.friction_std),
         contact_friction=float(params.contact_friction * np.sqrt(posterior.covariance[-1, -1])),
     )
     status = IdentificationStatus.LEARNED
-    before = found.errors_before[:, body].mean() * MM
-    after = found.errors[:, body].mean() * MM
+    before = found.errors_before[:, body].mean() * MM_PER_M
+    after = found.errors[:, body].mean() * MM_PER_M
     message = (
         f"Learned together with {count(len(found) - 1, 'other object')} from "
         f"{count(len(found.push_names), 'push')}: cell error {after:.2f} mm, "

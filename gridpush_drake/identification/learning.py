@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from gridpush_drake.dynamics.physics import Physics, Regime
 from gridpush_drake.errors import IdentificationError, ParameterError, PushLogWarning
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.absolute.force_scale import calc_force_scale
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
 from gridpush_drake.identification.baselines.search import (
     Bounds,
@@ -24,40 +25,42 @@ from gridpush_drake.identification.baselines.search import (
     SearchStatus,
     run_search,
 )
-from gridpush_drake.identification.center_of_mass import CenterOfMass
-from gridpush_drake.identification.fit_average import MapEnsembleFit
-from gridpush_drake.identification.force_scale import calc_force_scale
-from gridpush_drake.identification.friction_gradient import HeldFriction, calc_gradient_std
+from gridpush_drake.identification.fit.fit_average import MapEnsembleFit
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
+from gridpush_drake.identification.fit.map_fit import calc_laplace
+from gridpush_drake.identification.fit.robust_fit import FitTask, Tracker, fit_robustly
+from gridpush_drake.identification.flipped_poses import FlippedPoses, find_flipped_poses
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.joint_fit import identify_together
 from gridpush_drake.identification.joint_result import JointIdentification
-from gridpush_drake.identification.map_ensemble import MapEnsemble
-from gridpush_drake.identification.map_fit import calc_laplace
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_check import judge_fit
-from gridpush_drake.identification.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.outliers import Screening
-from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
-from gridpush_drake.identification.problem import (
-    PushProblem,
-    make_even_parameters,
-    resolve_physics,
-)
 from gridpush_drake.identification.result import (
     FitStart,
     Identification,
     IdentificationStatus,
     Progress,
 )
-from gridpush_drake.identification.robust_fit import FitTask, Tracker, fit_robustly
-from gridpush_drake.identification.turned_poses import TurnedPoses, find_turned_poses
+from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
+from gridpush_drake.identification.statistics.friction_gradient import (
+    HeldFriction,
+    calc_gradient_std,
+)
+from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.statistics.outliers import ScreenedLog
+from gridpush_drake.identification.statistics.posterior import CONTACT_FRICTION, Posterior
+from gridpush_drake.identification.statistics.problem import (
+    PushProblem,
+    make_even_parameters,
+    resolve_physics,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 from gridpush_drake.pushes.arguments import LOG_TYPES, PushLogOrFile, check_types, read_log
 from gridpush_drake.pushes.plausibility import check_plausible, explain_unused_forces
 from gridpush_drake.pushes.push_log import PushLog
 
-METHODS = ("default", *SEARCH_METHODS)
+METHOD_NAMES = ("default", *SEARCH_METHODS)
 """Names of the methods that `identify` offers."""
 
 
@@ -91,7 +94,7 @@ def identify(
             one observed pose each after the first. Pushes during which a part of the object hung
             over the table's edge are learned from only if the log has the table's corners, and only
             by the default method.
-        method: one of METHODS: "default", the paper's, or a baseline.
+        method: one of METHOD_NAMES: "default", the paper's, or a baseline.
         seed: seed of everything random.
         regime: takes the place of the one in the model's physics. "auto", the default, is the one
             that suits the log's fastest push (`physics.FAST_PUSH`), for all of them.
@@ -147,8 +150,10 @@ def identify(
     if isinstance(start, JointIdentification):
         raise IdentificationError("start: is of several objects; expected what was learned of one")
     obj = model.obj
-    if method not in METHODS:
-        raise IdentificationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
+    if method not in METHOD_NAMES:
+        raise IdentificationError(
+            f"method is {method!r}; expected one of {', '.join(METHOD_NAMES)}"
+        )
     asked = model.physics.with_regime(regime)
     if method == "default" and True not in asked.law.gradients:
         raise IdentificationError(
@@ -231,10 +236,10 @@ def identify(
             center_of_mass=CenterOfMass.of_prior(obj.prior),
         )
         problem = PushProblem(obj, touching, uniform, used)
-        turned = find_turned_poses(problem, touching, screened.log, z0, ensemble.noise, fit_field)
-    for doubt in _list_doubts(obj, screened.log, used, turned):
+        turned = find_flipped_poses(problem, touching, screened.log, z0, ensemble.noise, fit_field)
+    for warning in _list_warnings(obj, screened.log, used, turned):
         warnings.warn(
-            f"{log.source}: {doubt}" if log.source else doubt, PushLogWarning, stacklevel=2
+            f"{log.source}: {warning}" if log.source else warning, PushLogWarning, stacklevel=2
         )
     return _note_poor_fit(result, screened.log)
 
@@ -264,8 +269,8 @@ def _hold_friction(even: CellParameters, friction: Array) -> CellParameters:
     return replace(even, friction=coefficients, mass=even.mass * even.friction / coefficients)
 
 
-def _list_doubts(
-    obj: GridObject, used: PushLog, physics: Physics, turned: TurnedPoses | None
+def _list_warnings(
+    obj: GridObject, used: PushLog, physics: Physics, turned: FlippedPoses | None
 ) -> Iterator[str]:
     """Says what in the pushes may spoil the model, or is not learned from, and why."""
     forces = explain_unused_forces(obj, used, physics.inertial)
@@ -317,7 +322,7 @@ def describe_prior(
     tracker = Tracker(problem, None)
     return _make_result(
         obj,
-        Screening(PushLog(())),
+        ScreenedLog(PushLog(())),
         fit,
         held=uniform,
         method="default",
@@ -332,13 +337,13 @@ def describe_prior(
 def _describe_no_fit(obj: GridObject) -> str:
     """Says which of what was told of an object may be why its fit's equations cannot be solved."""
     prior = obj.prior
-    told = []
+    given = []
     if prior.center_of_mass is not None:
         x, y = prior.center_of_mass
-        told.append(f"center_of_mass.at, [{x:g}, {y:g}] m,")
+        given.append(f"center_of_mass.at, [{x:g}, {y:g}] m,")
     if prior.push_height is not None:
-        told.append(f"pusher.height, {prior.push_height:g} m,")
-    question = f"; is {' and '.join(told)} right?" if told else ""
+        given.append(f"pusher.height, {prior.push_height:g} m,")
+    question = f"; is {' and '.join(given)} right?" if given else ""
     return (
         f"{obj.name}: the fit's equations cannot be solved, "
         f"no loads of its cells explain the pushes{question}"
@@ -412,7 +417,7 @@ def _choose_starts(obj: GridObject, start: Identification | None) -> tuple[FitSt
     return start.starts or (FitStart(start.posterior.mean, NoiseScale()),)
 
 
-def _check_log(obj: GridObject, log: PushLog) -> Screening:
+def _check_log(obj: GridObject, log: PushLog) -> ScreenedLog:
     """Refuses a log that nothing can be learned from, and the poses that jump.
 
     A log without a pusher radius takes that of the object's prior.
@@ -429,14 +434,14 @@ def _check_log(obj: GridObject, log: PushLog) -> Screening:
             )
     if not log.radius_given and obj.prior.pusher_radius is not None:
         log = log.with_radius(obj.prior.pusher_radius)
-    screened = Screening.of_jumps(obj, log)
+    screened = ScreenedLog.of_jumps(obj, log)
     check_plausible(obj, screened.log, learning=True)
     return screened
 
 
 def _make_result(
     obj: GridObject,
-    screened: Screening,
+    screened: ScreenedLog,
     fit: MapEnsembleFit,
     *,
     held: CellParameters,
@@ -468,9 +473,9 @@ def _make_result(
     # masses follow, and their sum is what was told of the object.
     friction = held.friction
     posterior = Posterior(fit.z, fit.covariance, fit.prior_covariance)
-    share = posterior.calc_share()
+    fraction = posterior.calc_fraction()
     total_mass = obj.prior.total_mass or DEFAULT_TOTAL_MASS
-    mass = share / friction
+    mass = fraction / friction
     mass *= total_mass / mass.sum()
     params = replace(held, mass=mass, contact_friction=float(np.exp(fit.z[CONTACT_FRICTION])))
 
@@ -481,7 +486,9 @@ def _make_result(
     if force is not None:
         params = force.rescale(Model(obj, params))
         mass = params.mass
-    relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
+    relative_std = (
+        np.sqrt(np.maximum(np.diag(posterior.calc_fraction_covariance()), 0.0)) / fraction
+    )
 
     # Between its bounds, slow pushes say nothing of a friction coefficient by itself: uniform.
     log_contact_friction_std = np.sqrt(fit.covariance[CONTACT_FRICTION, CONTACT_FRICTION])

@@ -1,23 +1,24 @@
 """Whether a learned model may be trusted, by the pushes it was learned from and what was known.
 
-`doubt_fit` says in sentences what speaks against it. How far off predictions may be is in `spread`.
+`describe_poor_fit` says in sentences what speaks against it. How far off predictions may be is in
+`spread`.
 """
 
 import numpy as np
 
-from gridpush_drake.identification.center_of_mass import CenterOfMass
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.result import Identification, IdentificationStatus
-from gridpush_drake.notebook import MM
+from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
+from gridpush_drake.identification.statistics.outliers import remove_outliers
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.units import MM_PER_M
 
-DOUBTFUL = 0.2
-"""Largest error of the pushes learned from, as a share of how far the object moves. A model with a
-larger error explains little."""
+POOR_ERROR_FRACTION = 0.2
+"""Largest error of the pushes learned from, as a fraction of how far the object moves. A model with
+a larger error explains little."""
 
-CONTRADICTED = 4.0
+CONTRADICTION_SIGMAS = 4.0
 """Distance, in standard deviations, of the center of friction from the center of mass that was
 told, beyond which the pushes contradict that center of mass."""
 
@@ -34,7 +35,7 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
     return before, after
 
 
-def doubt_fit(result: Identification) -> str | None:
+def describe_poor_fit(result: Identification) -> str | None:
     """Says in sentences why a model should not be trusted; None where nothing speaks against it.
 
     That is a model that explains too little of the pushes it was learned from (its status is then
@@ -43,28 +44,28 @@ def doubt_fit(result: Identification) -> str | None:
     if not result.push_names:
         return None
     poor = result.status == IdentificationStatus.EXPLAINS_LITTLE
-    doubts = (result.message if poor else None, doubt_center(result))
-    return " ".join(filter(None, doubts)) or None
+    conflicts = (result.message if poor else None, describe_center_conflict(result))
+    return " ".join(filter(None, conflicts)) or None
 
 
-def doubt_center(result: Identification) -> str | None:
+def describe_center_conflict(result: Identification) -> str | None:
     """Says that the center of friction is too far from the center of mass that was told.
 
     Returns:
         The sentences; None where both agree, or no center of mass was told.
     """
-    told = CenterOfMass.of_prior(result.obj.prior)
+    given_center = CenterOfMass.of_prior(result.obj.prior)
     z = result.posterior.mean
-    if told is None:
+    if given_center is None:
         return None
     # In standard deviations: frictions that scatter move the center of friction, too (section 4).
-    off, _ = told.linearize(result.obj, z, told.make_whitening(result.obj, z)[0])
-    if np.linalg.norm(off) < CONTRADICTED:
+    off, _ = given_center.linearize(result.obj, z, given_center.make_whitening(result.obj, z)[0])
+    if np.linalg.norm(off) < CONTRADICTION_SIGMAS:
         return None
-    x, y = told.at
-    distance = float(np.linalg.norm(result.identifiability.center_of_friction - told.at))
+    x, y = given_center.at
+    distance = float(np.linalg.norm(result.identifiability.center_of_friction - given_center.at))
     return (
-        f"The pushes put the center of friction {distance * MM:.1f} mm "
+        f"The pushes put the center of friction {distance * MM_PER_M:.1f} mm "
         f"from the center of mass that was told, [{x:g}, {y:g}] m. Is center_of_mass.at right?"
     )
 
@@ -101,10 +102,11 @@ def judge_fit(result: Identification, used: PushLog) -> tuple[IdentificationStat
     error = calc_mean_cell_error(result, used)
     even = calc_mean_cell_error(Model(obj, physics=result.physics), used)
     off = (
-        f"it is off by {error * MM:.1f} mm on average, an even object by {even * MM:.1f} mm, "
-        f"while the object moves by {mean * MM:.1f} mm."
+        f"it is off by {error * MM_PER_M:.1f} mm on average, an even object by "
+        f"{even * MM_PER_M:.1f} mm, "
+        f"while the object moves by {mean * MM_PER_M:.1f} mm."
     )
-    if error > DOUBTFUL * mean or error > even + result.noise_std:
+    if error > POOR_ERROR_FRACTION * mean or error > even + result.noise_std:
         return (
             IdentificationStatus.EXPLAINS_LITTLE,
             f"This model explains these pushes poorly: {off} "

@@ -19,22 +19,22 @@ from gridpush_drake.dynamics.physics import GRAVITY, Physics, SpinModel
 from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.absolute import (
-    ABSOLUTE,
+from gridpush_drake.identification.absolute.estimate import (
+    WANTED_UNKNOWNS,
     AbsoluteEstimate,
     TiltingLine,
-    TiltTest,
+    TiltTestCheck,
 )
-from gridpush_drake.identification.force_scale import ForceScale
-from gridpush_drake.identification.friction_gradient import calc_gradient_std
+from gridpush_drake.identification.absolute.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.noise import NoiseModel
-from gridpush_drake.identification.outliers import Outlier
-from gridpush_drake.identification.posterior import GLOBALS, Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
+from gridpush_drake.identification.statistics.friction_gradient import calc_gradient_std
+from gridpush_drake.identification.statistics.noise import NoiseModel
+from gridpush_drake.identification.statistics.outliers import Outlier
+from gridpush_drake.identification.statistics.posterior import GLOBAL_NAMES, Posterior
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import RENAMED as OBJECT_RENAMED
+from gridpush_drake.objects.object_file import RENAMED_KEYS as OBJECT_RENAMED
 from gridpush_drake.objects.object_file import ObjectSchema, describe_object, make_cells
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.yaml_file import StrictSchema, add_core_forms, check_mapping, read_mapping
@@ -101,7 +101,7 @@ class QuantitySchema(StrictSchema):
 
 
 class TiltTestSchema(StrictSchema):
-    """How a press at the table's edge was judged; see `TiltTest`."""
+    """How a press at the table's edge was judged; see `TiltTestCheck`."""
 
     place: Point
     arm: Positive
@@ -132,7 +132,7 @@ class AbsoluteSchema(StrictSchema):
     gyration: NotNegative = 0.0
     gyration_std: NotNegative = 0.0
     tests: Annotated[list[TiltTestSchema], Field(default_factory=list)]
-    mean: Annotated[list[float], Field(min_length=ABSOLUTE, max_length=ABSOLUTE)]
+    mean: Annotated[list[float], Field(min_length=WANTED_UNKNOWNS, max_length=WANTED_UNKNOWNS)]
     covariance: str
 
 
@@ -228,9 +228,9 @@ class ModelSchema(StrictSchema):
                 raise ValueError(
                     f"cells.{name} has {len(values)} entries; expected one a cell, {n}"
                 )
-        size = n + len(GLOBALS)
+        size = n + len(GLOBAL_NAMES)
         if len(self.posterior.mean) != size:
-            more = ", ".join(GLOBALS)
+            more = ", ".join(GLOBAL_NAMES)
             raise ValueError(
                 f"posterior.mean has {len(self.posterior.mean)} entries; expected {size}: one a "
                 f"cell, then {more}"
@@ -238,7 +238,7 @@ class ModelSchema(StrictSchema):
         return self
 
 
-RENAMED = {
+RENAMED_KEYS = {
     **{f"object.{place}": what for place, what in OBJECT_RENAMED.items()},
     "object.cell_size": "this key is called object.cells.size now",
     "object.prior": "its keys stand in object now: total_mass, center_of_mass, friction, "
@@ -306,16 +306,16 @@ def _decode(name: str, text: str) -> Array:
     return values
 
 
-WHAT = "a gridpush model"
+EXPECTED_MODEL = "a gridpush model"
 """The expected form of a file, for messages."""
 
-MARK = "gridpush_model:"
+MODEL_KEY = "gridpush_model:"
 """Key with which every model file begins, below its comments."""
 
 MARK_ROOM = 4096
-"""Number of bytes at the beginning of a file within which `MARK` stands."""
+"""Number of bytes at the beginning of a file within which `MODEL_KEY` stands."""
 
-HEADER = (
+MODEL_HEADER = (
     "# A model that gridpush learned: what the object's cells weigh, how they rub, and how well "
     "that is known.\n# SI units, radians; places are in the object's body frame. `gridpush "
     "predict`, `simulate` and `show` read it.\n# What stands under `identifiability`, and the "
@@ -331,7 +331,7 @@ LINE_WIDTH = 120
 def looks_like_model(path: Path | str) -> bool:
     """Whether a file is a model rather than an object; False where it cannot be read."""
     lines = read_head(path, MARK_ROOM).decode(errors="replace").splitlines()
-    return any(line.startswith(MARK) for line in lines)
+    return any(line.startswith(MODEL_KEY) for line in lines)
 
 
 def write_model(path: Path | str, identification: Identification, force: bool = False) -> None:
@@ -347,7 +347,7 @@ def write_model(path: Path | str, identification: Identification, force: bool = 
     """
     content = _describe(identification).model_dump(exclude_none=True, exclude_unset=True)
     text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=LINE_WIDTH)
-    write_whole(path, HEADER + text, force)
+    write_whole(path, MODEL_HEADER + text, force)
 
 
 def read_model(path: Path | str) -> Identification:
@@ -366,7 +366,7 @@ def read_model(path: Path | str) -> Identification:
     """
     path = Path(path)
     schema = check_mapping(
-        path, read_mapping(path, WHAT), ModelSchema, IdentificationError, RENAMED
+        path, read_mapping(path, EXPECTED_MODEL), ModelSchema, IdentificationError, RENAMED_KEYS
     )
     try:
         return _restore(schema)
@@ -437,22 +437,22 @@ def _describe(result: Identification) -> ModelSchema:
 
 def _describe_force(force: ForceScale) -> ForceSchema:
     """Sets all values, gravity only where it is not the default."""
-    told = asdict(force)
+    entries = asdict(force)
     if force.gravity == GRAVITY:
-        del told["gravity"]
-    return ForceSchema(**told)
+        del entries["gravity"]
+    return ForceSchema(**entries)
 
 
 def _describe_absolute(absolute: AbsoluteEstimate) -> AbsoluteSchema:
     """Sets what people read, and the estimate itself."""
     low, high = absolute.mass_interval
-    told: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     if absolute.pushes:
         least, most = absolute.friction_interval
-        told["friction"] = QuantitySchema(value=absolute.friction, low=least, high=most)
+        entries["friction"] = QuantitySchema(value=absolute.friction, low=least, high=most)
     if absolute.gyration > 0:
         least, most = absolute.inertia_interval
-        told["inertia"] = QuantitySchema(value=absolute.inertia, low=least, high=most)
+        entries["inertia"] = QuantitySchema(value=absolute.inertia, low=least, high=most)
     return AbsoluteSchema(
         total_mass=QuantitySchema(value=absolute.total_mass, low=low, high=high),
         center_of_mass=absolute.center_of_mass.tolist(),
@@ -468,7 +468,7 @@ def _describe_absolute(absolute: AbsoluteEstimate) -> AbsoluteSchema:
         ],
         mean=absolute.mean.tolist(),
         covariance=pack_symmetric(absolute.covariance),
-        **told,
+        **entries,
     )
 
 
@@ -476,7 +476,7 @@ def _restore_absolute(schema: AbsoluteSchema) -> AbsoluteEstimate:
     """Makes an estimate again of what a file says."""
     return AbsoluteEstimate(
         mean=np.array(schema.mean),
-        covariance=unpack_symmetric("absolute.covariance", schema.covariance, ABSOLUTE),
+        covariance=unpack_symmetric("absolute.covariance", schema.covariance, WANTED_UNKNOWNS),
         presses=schema.presses,
         lifts=schema.lifts,
         pushes=schema.pushes,
@@ -487,10 +487,10 @@ def _restore_absolute(schema: AbsoluteSchema) -> AbsoluteEstimate:
     )
 
 
-def _restore_test(schema: TiltTestSchema) -> TiltTest:
+def _restore_test(schema: TiltTestSchema) -> TiltTestCheck:
     """Makes the judgment of a press again of what a file says."""
     x, y = schema.place
-    return TiltTest(**(schema.model_dump() | {"place": (x, y)}))
+    return TiltTestCheck(**(schema.model_dump() | {"place": (x, y)}))
 
 
 def _make_usual_noise(obj: GridObject) -> NoiseModel:
@@ -501,12 +501,12 @@ def _make_usual_noise(obj: GridObject) -> NoiseModel:
 def _describe_physics(physics: Physics) -> PhysicsSchema:
     """Sets the regime, and whatever else is not the default."""
     standard = asdict(Physics())
-    told = {
+    entries = {
         name: value
         for name, value in asdict(physics).items()
         if name == "regime" or value != standard[name]
     }
-    return PhysicsSchema(**told)
+    return PhysicsSchema(**entries)
 
 
 def _restore_noise(schema: NoiseSchema | None, obj: GridObject) -> NoiseModel:
@@ -540,12 +540,12 @@ def _restore(schema: ModelSchema) -> Identification:
         friction=np.array(cells.friction_std),
         contact_friction=schema.contact_friction_std,
     )
-    size = obj.n + len(GLOBALS)
-    told = schema.posterior
+    size = obj.n + len(GLOBAL_NAMES)
+    entries = schema.posterior
     posterior = Posterior(
-        np.array(told.mean),
-        unpack_symmetric("posterior.covariance", told.covariance, size),
-        unpack_symmetric("posterior.prior_covariance", told.prior_covariance, size),
+        np.array(entries.mean),
+        unpack_symmetric("posterior.covariance", entries.covariance, size),
+        unpack_symmetric("posterior.prior_covariance", entries.prior_covariance, size),
     )
     outliers = [
         Outlier(push=out.push, poses=tuple(out.poses), observed=out.observed, whole=out.whole)

@@ -14,15 +14,16 @@ from numpy.typing import ArrayLike
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import Regime
 from gridpush_drake.geometry.se2 import Array, wrap_angle
-from gridpush_drake.identification.problem import TimedPush, find_fastest
-from gridpush_drake.notebook import DEGREES, MM, describe_pose, draw_paths, make_page
+from gridpush_drake.identification.statistics.problem import TimedPush, find_fastest
+from gridpush_drake.notebook import describe_pose, draw_paths, make_page
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.arguments import LOG_TYPES, PushLogOrFile, check_types, read_log
 from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.units import DEG_PER_RAD, MM_PER_M
 
-P90 = 0.9
-"""Share of the pushes whose errors are below the last figure of a summary."""
+SUMMARY_QUANTILE = 0.9
+"""Fraction of the pushes whose errors are below the last figure of a summary."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,17 +195,21 @@ def summarize_errors(
     errors = [error for error in calc_final_errors(obj, predictions, log) if error is not None]
     rho = obj.radius_of_gyration
     kinds = {
-        "position": ([error.position for error in errors], "mm", MM),
-        "angle": ([error.angle for error in errors], "°", DEGREES),
-        "cell": ([error.cell for error in errors], "mm", MM),
-        f"combined, rho {rho * MM:.1f} mm": ([error.combined(rho) for error in errors], "mm", MM),
+        "position": ([error.position for error in errors], "mm", MM_PER_M),
+        "angle": ([error.angle for error in errors], "°", DEG_PER_RAD),
+        "cell": ([error.cell for error in errors], "mm", MM_PER_M),
+        f"combined, rho {rho * MM_PER_M:.1f} mm": (
+            [error.combined(rho) for error in errors],
+            "mm",
+            MM_PER_M,
+        ),
     }
     return [
         ErrorSummary(
             name=name,
             mean=float(np.mean(values)),
             median=float(np.median(values)),
-            p90=float(np.quantile(values, P90)),
+            p90=float(np.quantile(values, SUMMARY_QUANTILE)),
             pushes=len(values),
             unit=unit,
             scale=scale,

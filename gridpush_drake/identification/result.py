@@ -8,17 +8,18 @@ import numpy as np
 
 from gridpush_drake.dynamics.physics import Regime
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.absolute import AbsoluteEstimate
-from gridpush_drake.identification.absolute_masses import draw_absolute_parameters
-from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.identification.absolute.estimate import AbsoluteEstimate
+from gridpush_drake.identification.absolute.force_scale import ForceScale
+from gridpush_drake.identification.absolute.masses import draw_absolute_parameters
 from gridpush_drake.identification.identifiability import Identifiability
 from gridpush_drake.identification.model import Model, check_draws
-from gridpush_drake.identification.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.outliers import Outlier
-from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
-from gridpush_drake.notebook import MM, count, draw_cells, make_page, make_table
+from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.statistics.outliers import Outlier
+from gridpush_drake.identification.statistics.posterior import Posterior, calc_center_jacobian
+from gridpush_drake.notebook import count, draw_cells, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.units import MM_PER_M
 
 
 class IdentificationStatus(StrEnum):
@@ -80,7 +81,7 @@ class HypothesisEvidence:
         log_evidence: log evidence, less that of the best one.
         log_predictive: log density that it gives to the end of each push by what it learns from the
             others, of all pushes, less that of the best one.
-        weight: share of the estimate that comes from it, between 0 and 1.
+        weight: fraction of the estimate that comes from it, between 0 and 1.
     """
 
     name: str
@@ -152,7 +153,7 @@ class Identification(Model):
         std = np.sqrt(
             np.maximum(self.identifiability.center_of_friction_covariance.diagonal(), 0.0)
         )
-        x, y = (f"{value * MM:.1f}" for value in std)
+        x, y = (f"{value * MM_PER_M:.1f}" for value in std)
         pushes = f"{self.status} from {count(len(self.push_names), 'push')}"
         return (
             f"Identification of {self.obj.name!r}, {count(self.obj.n, 'cell')}: {pushes}, "
@@ -163,8 +164,8 @@ class Identification(Model):
         """Outline and cells, colored by their learned mass, and a table of what was found."""
         obj = self.obj
         known = self.identifiability
-        x, y = known.center_of_friction * MM
-        std = np.sqrt(np.maximum(known.center_of_friction_covariance.diagonal(), 0.0)) * MM
+        x, y = known.center_of_friction * MM_PER_M
+        std = np.sqrt(np.maximum(known.center_of_friction_covariance.diagonal(), 0.0)) * MM_PER_M
         params = self.params
         rows: list[tuple[str, str]] = [
             (
@@ -176,7 +177,7 @@ class Identification(Model):
                 f"{params.contact_friction:.2f} ± {self.std.contact_friction:.2f}",
             ),
             ("total mass", f"{params.total_mass:.3g} kg"),
-            ("what the model leaves unexplained", f"{self.noise_std * MM:.2f} mm"),
+            ("what the model leaves unexplained", f"{self.noise_std * MM_PER_M:.2f} mm"),
             ("simulated as", self.regime.replace("_", " ")),
             ("pushes not touched or refused", str(len(self.unused_pushes) + len(self.outliers))),
         ]
@@ -255,8 +256,8 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     if prior.center_of_mass is not None:
         return np.array(prior.center_of_mass), prior.center_of_mass_std**2 * np.eye(2)
     center = found.params.center_of_mass(found.obj)
-    share = found.params.mass / found.params.total_mass
-    J = calc_center_jacobian(share, found.obj.p_BC)
+    fraction = found.params.mass / found.params.total_mass
+    J = calc_center_jacobian(fraction, found.obj.p_BC)
     return center, _cap(J @ found.posterior.covariance @ J.T, found.obj)
 
 
@@ -273,9 +274,9 @@ def calc_center_of_friction(found: Identification) -> tuple[Array, Array]:
     Returns:
         The point (2,), m, body frame, and its covariance (2, 2), m².
     """
-    share = found.posterior.calc_share()
-    J = calc_center_jacobian(share, found.obj.p_BC)
-    return share @ found.obj.p_BC, _cap(J @ found.posterior.covariance @ J.T, found.obj)
+    fraction = found.posterior.calc_fraction()
+    J = calc_center_jacobian(fraction, found.obj.p_BC)
+    return fraction @ found.obj.p_BC, _cap(J @ found.posterior.covariance @ J.T, found.obj)
 
 
 def _cap(covariance: Array, obj: GridObject) -> Array:

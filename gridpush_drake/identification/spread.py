@@ -10,14 +10,14 @@ from scipy.stats import f
 
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.noise import NORMAL
-from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.notebook import DEGREES, MM
+from gridpush_drake.identification.statistics.noise import NORMAL_DOF
+from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.pushes.arguments import LOG_TYPES, PushLogOrFile, check_types, read_log
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.units import DEG_PER_RAD, MM_PER_M
 
-INTERVAL = 0.9
+INTERVAL_PROBABILITY = 0.9
 """Probability with which an error is within a predicted interval."""
 
 
@@ -29,7 +29,7 @@ class Spread:
         name: name of the push.
         std: (3,) standard deviations of the cells' centroid, x and y, m, world frame, and of theta,
             rad.
-        cell_error: m; with probability INTERVAL the cell error is below it.
+        cell_error: m; with probability INTERVAL_PROBABILITY the cell error is below it.
     """
 
     name: str
@@ -41,8 +41,9 @@ class Spread:
         x, y, theta = self.std
         return (
             f"Spread of {self.name!r}: "
-            f"± {x * MM:.1f} mm, ± {y * MM:.1f} mm, ± {theta * DEGREES:.1f}°; "
-            f"cell error below {self.cell_error * MM:.1f} mm with probability {INTERVAL:g}"
+            f"± {x * MM_PER_M:.1f} mm, ± {y * MM_PER_M:.1f} mm, ± {theta * DEG_PER_RAD:.1f}°; "
+            f"cell error below {self.cell_error * MM_PER_M:.1f} mm with probability "
+            f"{INTERVAL_PROBABILITY:g}"
         )
 
 
@@ -91,7 +92,7 @@ def predict_spread(
         covariance = calc_end_covariance(model, J, inputs)
         # The third residual is rho dtheta.
         std = np.sqrt(np.diag(covariance)) / (1.0, 1.0, obj.radius_of_gyration)
-        cell_error = calc_end_quantile(model, covariance, INTERVAL)
+        cell_error = calc_end_quantile(model, covariance, INTERVAL_PROBABILITY)
         found.append(Spread(name=seen.name, std=std, cell_error=cell_error))
     return found
 
@@ -111,8 +112,8 @@ def calc_end_covariance(
         (3, 3), m².
     """
     # kappa² (J S J^T + Sigma)
-    left_open = J @ model.posterior.covariance @ J.T
-    covariance = left_open + model.noise.calc_covariance(inputs, model.noise_scale)
+    model_covariance = J @ model.posterior.covariance @ J.T
+    covariance = model_covariance + model.noise.calc_covariance(inputs, model.noise_scale)
     covariance *= max(model.interval_scale, least_scale) ** 2
     return np.asarray(covariance)
 
@@ -129,12 +130,12 @@ def calc_end_quantile(model: Identification, covariance: Array, probability: flo
         The distance, root mean square over the cells, m.
     """
     pushes = len(model.push_names)
-    typical = model.noise.calc_typical_share(pushes) * covariance
+    typical = model.noise.calc_typical_fraction(pushes) * covariance
     return calc_norm_quantile(typical, model.noise.calc_freedom(pushes), probability)
 
 
 def calc_norm_quantile(
-    covariance: Array, freedom: float = NORMAL, probability: float = INTERVAL
+    covariance: Array, freedom: float = NORMAL_DOF, probability: float = INTERVAL_PROBABILITY
 ) -> float:
     """Calculates a quantile of |r|, where r has Student's t distribution.
 

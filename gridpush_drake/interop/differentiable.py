@@ -2,7 +2,7 @@
 
 The arrays may have any leading dimensions, which broadcast.
 
-A straight push of a disc is a function of six arguments, `ARGUMENTS`. Its derivatives are the
+A straight push of a disc is a function of six arguments, `ARGUMENT_NAMES`. Its derivatives are the
 named blocks of `Motion.jacobian`; only those by the pusher's velocity are put together here. With
 the velocity v = L/T (cos a, sin a) of a push that lasts T,
 
@@ -26,7 +26,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-ARGUMENTS = ("mass", "friction", "contact_friction", "start", "velocity", "pose")
+ARGUMENT_NAMES = ("mass", "friction", "contact_friction", "start", "velocity", "pose")
 """The differentiable arguments, in the order in which all functions here take them."""
 
 POSE_SIZE = 3
@@ -82,7 +82,7 @@ class PushFunction:
     Attributes:
         obj: the object.
         setting: what is not differentiated.
-        shapes: shape of each argument in `ARGUMENTS`, without leading dimensions.
+        shapes: shape of each argument in `ARGUMENT_NAMES`, without leading dimensions.
     """
 
     def __init__(self, obj: GridObject, setting: PushSetting) -> None:
@@ -111,7 +111,7 @@ class PushFunction:
             np.zeros(POSE_SIZE),
         )
         filled: list[ArrayLike] = []
-        for name, value, default in zip(ARGUMENTS, values, defaults, strict=True):
+        for name, value, default in zip(ARGUMENT_NAMES, values, defaults, strict=True):
             chosen = default if value is None else value
             if chosen is None:
                 raise SimulationError(f"{name} is missing; expected an array")
@@ -120,7 +120,7 @@ class PushFunction:
 
     def check_shapes(self, shapes: Sequence[tuple[int, ...]]) -> None:
         """Raises SimulationError where an argument's last dimensions are not as they should be."""
-        for name, shape, wanted in zip(ARGUMENTS, shapes, self.shapes, strict=True):
+        for name, shape, wanted in zip(ARGUMENT_NAMES, shapes, self.shapes, strict=True):
             if len(shape) < len(wanted) or shape[len(shape) - len(wanted) :] != wanted:
                 raise SimulationError(f"{name} has shape {shape}; expected (..., {wanted})")
 
@@ -195,8 +195,8 @@ class PushFunction:
         if not derive:
             return poses, []
 
-        # The named blocks of each motion, in the order of `ARGUMENTS`.
-        blocks: list[list[Array]] = [[] for _ in ARGUMENTS]
+        # The named blocks of each motion, in the order of `ARGUMENT_NAMES`.
+        blocks: list[list[Array]] = [[] for _ in ARGUMENT_NAMES]
         for motion, pushed in zip(motions, velocity, strict=True):
             found = motion.jacobian
             moved = calc_velocity_block(found, pushed, setting.duration)

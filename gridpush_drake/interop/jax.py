@@ -11,14 +11,14 @@ from typing import Any
 
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.extras import import_extra
-from gridpush_drake.interop.differentiable import ARGUMENTS, PushFunction, PushSetting
+from gridpush_drake.interop.differentiable import ARGUMENT_NAMES, PushFunction, PushSetting
 from gridpush_drake.objects.grid_object import GridObject
 
 jax = import_extra("jax", "jax")
 
 __all__ = ["PushSetting", "simulate"]
 
-BATCHING = "expand_dims"
+BATCHING_METHOD = "expand_dims"
 """How JAX hands a batch to the callback: what is not batched comes once, with dimensions of 1."""
 
 
@@ -84,7 +84,7 @@ def _make_differentiable(function: PushFunction, leading: tuple[int, ...]) -> An
     @jax.custom_jvp
     def run(*values: Any) -> Any:
         return jax.pure_callback(
-            function.calc_poses, _describe(output), *values, vmap_method=BATCHING
+            function.calc_poses, _describe(output), *values, vmap_method=BATCHING_METHOD
         )
 
     # Forward: the change of the poses is linear in the tangents. So JAX can also transpose it,
@@ -93,7 +93,10 @@ def _make_differentiable(function: PushFunction, leading: tuple[int, ...]) -> An
     def differentiate(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
         shapes = [_describe(output + shape) for shape in function.shapes]
         poses, blocks = jax.pure_callback(
-            function.differentiate, (_describe(output), shapes), *primals, vmap_method=BATCHING
+            function.differentiate,
+            (_describe(output), shapes),
+            *primals,
+            vmap_method=BATCHING_METHOD,
         )
         change = sum(
             _apply(block, tangent, len(shape), len(function.output_shape))
@@ -101,7 +104,7 @@ def _make_differentiable(function: PushFunction, leading: tuple[int, ...]) -> An
         )
         return poses, change
 
-    assert len(ARGUMENTS) == len(function.shapes)
+    assert len(ARGUMENT_NAMES) == len(function.shapes)
     return run
 
 

@@ -103,7 +103,7 @@ def SetPartner(
         scene_graph.AssignRole(source, geometry, properties, RoleAssign.kReplace)
 
 
-TABLE = "table"
+TABLE_INSTANCE = "table"
 """Name of the table's model instance."""
 
 TOP_TOLERANCE = 1e-6
@@ -113,7 +113,7 @@ QUADRANT_SEGMENTS = 256
 """Number of corners, in a quarter turn, of the polygon within a round table's edge. It lies within
 2 um of an edge of 0.5 m radius."""
 
-SEAM = 1e-9
+SEAM_GRID = 1e-9
 """Grid to which outlines are rounded, m, so that pieces of a table that meet leave no gap."""
 
 
@@ -128,13 +128,13 @@ def FindTableTops(
     Raises:
         ScenarioError: there is no such model, or none of its geometries ends there.
     """
-    if not plant.HasModelInstanceNamed(TABLE):
+    if not plant.HasModelInstanceNamed(TABLE_INSTANCE):
         raise ScenarioError(
-            f"directives: there is no model {TABLE}; expected one whose top lies at z = 0"
+            f"directives: there is no model {TABLE_INSTANCE}; expected one whose top lies at z = 0"
         )
     context = plant.CreateDefaultContext()
     tops: dict[GeometryId, BaseGeometry] = {}
-    for index in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE)):
+    for index in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE_INSTANCE)):
         body = plant.get_body(index)
         X_WB = plant.EvalBodyPoseInWorld(context, body)
         for geometry in plant.GetCollisionGeometriesForBody(body):
@@ -144,14 +144,15 @@ def FindTableTops(
                 tops[geometry] = outline
     if not tops:
         raise ScenarioError(
-            f"directives: {TABLE} has no level box or cylinder that ends at z = 0; expected one"
+            f"directives: {TABLE_INSTANCE} has no level box or cylinder that ends at z = 0; "
+            "expected one"
         )
     return tops
 
 
 def FindTableOutline(plant: MultibodyPlant, inspector: SceneGraphInspector) -> BaseGeometry:
     """Finds where on the table's top things may lie: the union of `FindTableTops`, in W, m."""
-    return shapely.union_all(list(FindTableTops(plant, inspector).values()), grid_size=SEAM)
+    return shapely.union_all(list(FindTableTops(plant, inspector).values()), grid_size=SEAM_GRID)
 
 
 def _outline_of(shape: Box | Cylinder | object, X_WG: RigidTransform) -> BaseGeometry | None:

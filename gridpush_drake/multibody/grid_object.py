@@ -16,11 +16,11 @@ Frames: the table's top is the plane z = 0 of the world; the object's bottom is 
 and y are the grid object's own. Spheres touch nothing but the table, sides everything but the
 table.
 
-A sphere that carries the share m_i g of the weight, pressed in by delta, has stiffness
+A sphere that carries the fraction m_i g of the weight, pressed in by delta, has stiffness
 
     k_i = m_i g / delta
 
-so that, pressed in by delta, it bears just that share, whatever the other spheres do.
+so that, pressed in by delta, it bears just that fraction, whatever the other spheres do.
 
 A finger pushes at boxes. Contact of a sphere and a box is solved in closed form in Drake, that of
 sphere and convex mesh by iteration. So each edge of the outline is the outer face of one box, as
@@ -164,16 +164,16 @@ class ContactSphereLayout:
 MAX_DEPTH = 0.01
 """Largest depth of a box behind an edge of the outline, m."""
 
-HALVINGS = 12
+MAX_HALVINGS = 12
 """Largest number of times that a box behind an edge is made half as deep for want of room."""
 
-PROTRUSION = 1e-6
+MAX_PROTRUSION = 1e-6
 """Distance by which boxes may stand out of the outline next to a sharp corner, m."""
 
-STRIPS = 24
+STRIP_COUNT = 24
 """Number of rows of boxes that fill the inside."""
 
-CLEARANCE = 5e-4
+OUTLINE_CLEARANCE = 5e-4
 """Distance from the outline to the boxes that fill the inside, m; deeper than a finger presses
 in."""
 
@@ -198,7 +198,7 @@ def make_edge_boxes(obj: GridObject) -> list[PlanarBox]:
 
     The box's outer face is the edge, and it is as deep as the object lets it be.
     """
-    room = obj.outline.buffer(PROTRUSION)
+    room = obj.outline.buffer(MAX_PROTRUSION)
     prepare(room)
     boxes = []
     for start, end in zip(obj.edges.start, obj.edges.end, strict=True):
@@ -206,7 +206,7 @@ def make_edge_boxes(obj: GridObject) -> list[PlanarBox]:
         along = (end - start) / length
         inward = np.array([-along[1], along[0]])
         depth = MAX_DEPTH
-        for _ in range(HALVINGS):
+        for _ in range(MAX_HALVINGS):
             if room.covers(Polygon([start, end, end + depth * inward, start + depth * inward])):
                 break
             depth /= 2
@@ -217,13 +217,13 @@ def make_edge_boxes(obj: GridObject) -> list[PlanarBox]:
 
 
 def make_inner_boxes(obj: GridObject) -> list[PlanarBox]:
-    """Fills the outline, clear of it, with boxes that lie in STRIPS rows along the x axis."""
-    room = obj.outline.buffer(-CLEARANCE)
+    """Fills the outline, clear of it, with boxes that lie in STRIP_COUNT rows along the x axis."""
+    room = obj.outline.buffer(-OUTLINE_CLEARANCE)
     if room.is_empty:
         return []
     left, bottom, right, top = room.bounds
     boxes = []
-    for low, high in pairwise(np.linspace(bottom, top, STRIPS + 1)):
+    for low, high in pairwise(np.linspace(bottom, top, STRIP_COUNT + 1)):
         outside = box(left, low, right, high).difference(room)
         # The row is free where nothing outside is seen along y: between the ranges of x that the
         # pieces outside cover.
@@ -231,7 +231,7 @@ def make_inner_boxes(obj: GridObject) -> list[PlanarBox]:
         seen = sorted((piece.bounds[0], piece.bounds[2]) for piece in pieces)
         reached = left
         for start, end in [*seen, (right, right)]:
-            if start - reached > CLEARANCE:
+            if start - reached > OUTLINE_CLEARANCE:
                 center = np.array([reached + start, low + high]) / 2
                 size = (start - reached, high - low)
                 boxes.append(PlanarBox(center=center, angle=0.0, size=size))

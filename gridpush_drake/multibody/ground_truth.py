@@ -125,11 +125,11 @@ FEET_SLACK = 0.002
 """Distance of the center of mass from the sides of three feet's triangle, m, beside that by which a
 push moves the load."""
 
-SOFT = 1e-3
+SOFT_STIFFNESS_RATIO = 1e-3
 """Stiffness of the bottom beside three feet, relative to an even one: it bears where a foot is over
 the edge."""
 
-TRIES = 20_000
+MAX_FEET_DRAWS = 20_000
 """Largest number of draws of three feet."""
 
 
@@ -175,7 +175,7 @@ def calc_support(
         feet = np.unique(cKDTree(obj.p_BC).query(rim)[1])
         length = rng.uniform(0.0, rim_gap, len(feet))
         length -= length.min()
-    stiffness = np.full(obj.n, even if rim_gap > 0 else SOFT * even)
+    stiffness = np.full(obj.n, even if rim_gap > 0 else SOFT_STIFFNESS_RATIO * even)
     stiffness[feet] = params.total_mass / BEARING_FEET
     gap = np.full(obj.n, rim_gap)
     gap[feet] = length
@@ -225,7 +225,7 @@ def draw_feet(model: Model, margin: float, rng: np.random.Generator) -> IntArray
     """
     obj = model.obj
     center = shapely.Point(model.params.center_of_mass(obj))
-    for _ in range(TRIES):
+    for _ in range(MAX_FEET_DRAWS):
         cells = rng.choice(obj.n, 3, replace=False)
         triangle = shapely.Polygon(obj.p_BC[cells])
         if triangle.covers(center) and triangle.exterior.distance(center) >= margin:

@@ -14,7 +14,7 @@ foot as acceleration over d, and
     load that slip feigns, relative to the foot's own  mu b v / (R f)
     time by which friction's direction lags            1 / b
 
-so R f, here REGULARIZATION, is to be large, which a small impedance gives, and `impratio` very
+so R f, here FOOT_REGULARIZATION, is to be large, which a small impedance gives, and `impratio` very
 large.
 """
 
@@ -41,23 +41,23 @@ WALL_RADIUS = 1e-4
 """Radius of the capsules along the outline, which the pusher touches, m. The pusher's own radius
 should be less by as much."""
 
-SINKAGE = 2e-4
+FOUNDATION_SINKAGE = 2e-4
 """How far a compliant bottom sinks under its weight, m."""
 
 DAMPING_RATIO = 0.3
 """Damping ratio of the body's motion up and down on its feet. It is small, for it acts explicitly
 in time, and rocking, which is faster, must stay stable."""
 
-REGULARIZATION = 1e3
+FOOT_REGULARIZATION = 1e3
 """Term R f of a foot, m/s²; see the head of this module."""
 
 SLIP_DAMPING = 200.0
 """Damping b of slip, 1/s; see the head of this module."""
 
-IMPRATIO = 1e5
+IMPEDANCE_RATIO = 1e5
 """Ratio by which friction is stiffer than the normal force, MuJoCo's `impratio`."""
 
-TOLERANCE = 1e-12
+SOLVER_TOLERANCE = 1e-12
 """Tolerance of MuJoCo's solver."""
 
 MIN_IMPEDANCE = 1e-4
@@ -72,7 +72,7 @@ WALL_IMPEDANCE = 0.99
 WALL_TIME = 0.002
 """Time in which the ring comes back where it gave way, s."""
 
-NOTICE = (
+MJCF_NOTICE = (
     "\n"
     "  A grid object on a table. Units: m, kg, rad. The object's frame has its origin at "
     "the bottom, z = 0.\n"
@@ -112,7 +112,7 @@ def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Ar
         `solref` (K, 2), `solreffriction` (K, 2), and the impedance (K,), the first two entries of
         `solimp`.
     """
-    impedance = np.maximum(inverse / (inverse + REGULARIZATION / load), MIN_IMPEDANCE)
+    impedance = np.maximum(inverse / (inverse + FOOT_REGULARIZATION / load), MIN_IMPEDANCE)
     stiffness = load / sinkage
     damping = 2 * DAMPING_RATIO * load / np.sqrt(sinkage * GRAVITY)
     scale = inverse * (1 - impedance)
@@ -140,15 +140,17 @@ def make_mjcf(model: Model, height: float, note: str = "") -> str:
     if not FOOT_RADIUS < height < np.inf:
         raise ObjectError(f"height is {height!r}; expected more than {FOOT_RADIUS} m")
     mujoco = Element("mujoco", model=obj.name)
-    mujoco.append(ElementTree.Comment(NOTICE.format(height=params.push_height, wall=WALL_RADIUS)))
+    mujoco.append(
+        ElementTree.Comment(MJCF_NOTICE.format(height=params.push_height, wall=WALL_RADIUS))
+    )
     add_note(mujoco, note)
     _add(
         mujoco,
         "option",
         timestep=TIME_STEP,
         cone="elliptic",
-        impratio=IMPRATIO,
-        tolerance=TOLERANCE,
+        impratio=IMPEDANCE_RATIO,
+        tolerance=SOLVER_TOLERANCE,
         gravity=(0, 0, -GRAVITY),
     )
     world = ElementTree.SubElement(mujoco, "worldbody")
@@ -179,7 +181,9 @@ def make_mjcf(model: Model, height: float, note: str = "") -> str:
     _add_walls(body, model)
     contact = ElementTree.SubElement(mujoco, "contact")
     _add(contact, "exclude", body1="world", body2=obj.name)  # but for the pairs
-    springs, slip, impedance = calc_springs(params.mass * GRAVITY, SINKAGE, 1 / params.total_mass)
+    springs, slip, impedance = calc_springs(
+        params.mass * GRAVITY, FOUNDATION_SINKAGE, 1 / params.total_mass
+    )
     for i, mu in enumerate(params.friction):
         _add(
             contact,

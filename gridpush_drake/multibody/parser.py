@@ -34,10 +34,11 @@ from pydrake.multibody.tree import BodyIndex, Joint, ModelInstanceIndex, WeldJoi
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.files import MAX_TEXT_SIZE, MEGABYTE, exists, open_file, read_text
+from gridpush_drake.files import MAX_TEXT_SIZE, exists, open_file, read_text
+from gridpush_drake.units import BYTES_PER_MEGABYTE
 from gridpush_drake.yaml_file import MAX_YAML_SIZE, parse_yaml, shorten
 
-PACKAGE = "gridpush_drake"
+PACKAGE_NAME = "gridpush_drake"
 
 ROS_PATH = "ROS_PACKAGE_PATH"
 """Environment variable with the folders in which ROS packages are looked for."""
@@ -53,7 +54,7 @@ def find_models() -> Path:
 
 def AddModelsPackage(package_map: PackageMap) -> None:
     """Makes `package://gridpush_drake/...` known to a package map, once."""
-    if not package_map.Contains(PACKAGE):
+    if not package_map.Contains(PACKAGE_NAME):
         package_map.AddPackageXml(str(find_models() / "package.xml"))
 
 
@@ -133,7 +134,7 @@ MAX_DIRECTIVES = 10_000
 """Largest number of directives of a scene, those of a file counted each time it is included; and of
 files that a model is made of, counted likewise."""
 
-DIRECTIVES = "a file of Drake's model directives"
+EXPECTED_DIRECTIVES = "a file of Drake's model directives"
 """The expected form of a file of directives, for messages."""
 
 MODEL_FILE = "a model: an SDFormat, URDF or MuJoCo file"
@@ -142,7 +143,7 @@ MODEL_FILE = "a model: an SDFormat, URDF or MuJoCo file"
 MESH_FILE = "a mesh"
 """The expected form of a file that a model shows or touches with, for messages."""
 
-MAX_MESH_SIZE = 1024 * MEGABYTE
+MAX_MESH_SIZE = 1024 * BYTES_PER_MEGABYTE
 """Largest size of a mesh's file, bytes."""
 
 XML_MODELS = (".urdf", ".sdf", ".xml", ".world")
@@ -347,9 +348,9 @@ class _DirectivesCheck(_IncludeCheck):
         return total
 
     def _check_file(self, path: Path) -> int:
-        text = read_text(path, DIRECTIVES, ScenarioError, MAX_YAML_SIZE)
+        text = read_text(path, EXPECTED_DIRECTIVES, ScenarioError, MAX_YAML_SIZE)
         return self.check(
-            _list_named(parse_yaml(path, text, DIRECTIVES, ScenarioError, tagged=True))
+            _list_named(parse_yaml(path, text, EXPECTED_DIRECTIVES, ScenarioError, tagged=True))
         )
 
 
@@ -455,7 +456,7 @@ _IIWA = "iiwa_description/meshes/iiwa14/visual"
 _WSG = "wsg_50_description/meshes"
 """Folder of the WSG-50's meshes within drake_models."""
 
-MESHES: Mapping[str, Sequence[str]] = MappingProxyType(
+BODY_MESHES: Mapping[str, Sequence[str]] = MappingProxyType(
     {
         "iiwa_link_0": [f"{_IIWA}/link_0.gltf"],
         "iiwa_link_1": [f"{_IIWA}/link_1.gltf"],
@@ -472,7 +473,7 @@ MESHES: Mapping[str, Sequence[str]] = MappingProxyType(
 )
 """Meshes of each body within drake_models. Their frames are the bodies' own."""
 
-MODELS = ("iiwa", "gripper")
+MESHED_MODELS = ("iiwa", "gripper")
 """Names of the model instances that take meshes."""
 
 
@@ -512,12 +513,12 @@ def AddVisualMeshes(
     changed: list[str] = []
     if folder is None:
         return changed
-    for model in MODELS:
+    for model in MESHED_MODELS:
         if not plant.HasModelInstanceNamed(model):
             continue
         for index in plant.GetBodyIndices(plant.GetModelInstanceByName(model)):
             name = plant.get_body(index).name()
-            files = [folder / mesh for mesh in MESHES.get(name, ())]
+            files = [folder / mesh for mesh in BODY_MESHES.get(name, ())]
             if files and all(file.is_file() for file in files):
                 _replace_visuals(plant, scene_graph, index, files)
                 changed.append(name)

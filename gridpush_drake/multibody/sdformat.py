@@ -41,20 +41,20 @@ from gridpush_drake.multibody.grid_object import (
 )
 from gridpush_drake.objects.grid_object import GridObject
 
-DRAKE = "http://drake.mit.edu"
+DRAKE_NAMESPACE = "http://drake.mit.edu"
 """XML namespace of Drake's elements."""
 
-VERSION = "1.9"
+SDFORMAT_VERSION = "1.9"
 """Version of SDFormat."""
 
-GRAVITY = 9.81
+SPHERE_GRAVITY = 9.81
 """Gravity that the spheres are made for, m/s²; Drake's own."""
 
 SIDE_LIFT = 0.003
 """Height of the sides' lower edge over the object's bottom, m; more than the spheres are pressed
 in."""
 
-NOTICE = (
+SDF_NOTICE = (
     " A grid object: a sphere under every cell, boxes along the outline for a finger to push. "
     "Table and finger are to have friction 1 and drake:point_contact_stiffness 1e12. The object's "
     "bottom is z = 0 of its frame. Units: m, kg. "
@@ -71,7 +71,7 @@ def make_sdf(
     delta: float | None = None,
     spheres_per_cell: SpheresPerCell = 1,
     side_stiffness: float = SIDE_STIFFNESS,
-    gravity: float = GRAVITY,
+    gravity: float = SPHERE_GRAVITY,
     note: str = "",
 ) -> str:
     """Makes the model's text; the model and its link have the object's name.
@@ -105,9 +105,9 @@ def make_sdf(
         raise ObjectError(f"height is {height!r}; expected more than {SIDE_LIFT} m")
     if not 0 < delta < SIDE_LIFT:
         raise ObjectError(f"delta is {delta!r}; expected more than 0 and less than {SIDE_LIFT} m")
-    ElementTree.register_namespace("drake", DRAKE)
-    sdf = Element("sdf", version=VERSION)
-    sdf.append(ElementTree.Comment(NOTICE))
+    ElementTree.register_namespace("drake", DRAKE_NAMESPACE)
+    sdf = Element("sdf", version=SDFORMAT_VERSION)
+    sdf.append(ElementTree.Comment(SDF_NOTICE))
     add_note(sdf, note)
     element = ElementTree.SubElement(sdf, "model", name=obj.name)
     link = ElementTree.SubElement(element, "link", name=obj.name)
@@ -210,10 +210,12 @@ def _add_joint(model: Element, link: str, delta: float) -> None:
     fixed = ElementTree.SubElement(model, "joint", name=f"{support}_fixed", type="fixed")
     ElementTree.SubElement(fixed, "parent").text = "world"
     ElementTree.SubElement(fixed, "child").text = support
-    joint = ElementTree.SubElement(model, f"{{{DRAKE}}}joint", name=f"{link}_planar", type="planar")
-    ElementTree.SubElement(joint, f"{{{DRAKE}}}parent").text = support
-    ElementTree.SubElement(joint, f"{{{DRAKE}}}child").text = link
-    _add(joint, f"{{{DRAKE}}}damping", [0, 0, 0])
+    joint = ElementTree.SubElement(
+        model, f"{{{DRAKE_NAMESPACE}}}joint", name=f"{link}_planar", type="planar"
+    )
+    ElementTree.SubElement(joint, f"{{{DRAKE_NAMESPACE}}}parent").text = support
+    ElementTree.SubElement(joint, f"{{{DRAKE_NAMESPACE}}}child").text = link
+    _add(joint, f"{{{DRAKE_NAMESPACE}}}damping", [0, 0, 0])
 
 
 def _add_collision(
@@ -223,12 +225,12 @@ def _add_collision(
     collision = ElementTree.SubElement(link, "collision", name=name)
     _add(collision, "pose", pose)
     geometry = ElementTree.SubElement(collision, "geometry")
-    contact = ElementTree.SubElement(collision, f"{{{DRAKE}}}proximity_properties")
+    contact = ElementTree.SubElement(collision, f"{{{DRAKE_NAMESPACE}}}proximity_properties")
     friction = properties.GetProperty("material", "coulomb_friction")
-    _add(contact, f"{{{DRAKE}}}mu_static", [friction.static_friction()])
-    _add(contact, f"{{{DRAKE}}}mu_dynamic", [friction.dynamic_friction()])
+    _add(contact, f"{{{DRAKE_NAMESPACE}}}mu_static", [friction.static_friction()])
+    _add(contact, f"{{{DRAKE_NAMESPACE}}}mu_dynamic", [friction.dynamic_friction()])
     for name in ("point_contact_stiffness", "hunt_crossley_dissipation"):
-        _add(contact, f"{{{DRAKE}}}{name}", [properties.GetProperty("material", name)])
+        _add(contact, f"{{{DRAKE_NAMESPACE}}}{name}", [properties.GetProperty("material", name)])
     return geometry
 
 
@@ -238,11 +240,11 @@ def _add(parent: Element, tag: str, values: ArrayLike) -> None:
     ElementTree.SubElement(parent, tag).text = " ".join(texts)
 
 
-LIMIT = (
+URDF_NOTICE = (
     " Friction and stiffness are in Drake's elements alone: other simulators see shapes and "
     "inertia only. "
 )
-"""Notice in a URDF file, besides `NOTICE`."""
+"""Notice in a URDF file, besides `SDF_NOTICE`."""
 
 
 def make_urdf(model: Model, *, height: float = DEFAULT_HEIGHT, note: str = "") -> str:
@@ -261,7 +263,7 @@ def make_urdf(model: Model, *, height: float = DEFAULT_HEIGHT, note: str = "") -
     source = ElementTree.fromstring(make_sdf(model, height=height)).find("model/link")
     assert source is not None
     robot = Element("robot", name=obj.name)
-    robot.append(ElementTree.Comment(NOTICE + LIMIT))
+    robot.append(ElementTree.Comment(SDF_NOTICE + URDF_NOTICE))
     add_note(robot, note)
     link = ElementTree.SubElement(robot, "link", name=obj.name)
     for part in source:
@@ -278,7 +280,7 @@ def make_urdf(model: Model, *, height: float = DEFAULT_HEIGHT, note: str = "") -
         for color in part.iterfind("material/diffuse"):
             material = ElementTree.SubElement(made, "material", name="cell")
             ElementTree.SubElement(material, "color", rgba=_read(color))
-        for given in part.iterfind(f"{{{DRAKE}}}proximity_properties"):
+        for given in part.iterfind(f"{{{DRAKE_NAMESPACE}}}proximity_properties"):
             properties = ElementTree.SubElement(made, given.tag)
             for entry in given:
                 ElementTree.SubElement(properties, entry.tag, value=_read(entry))

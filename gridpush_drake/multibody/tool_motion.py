@@ -48,7 +48,7 @@ RAMP_PEAK = 1.5
 """Largest slope of 3 u^2 - 2 u^3: a ramp's largest acceleration over its mean one."""
 
 ROUND_OFF = 1e-9
-"""Share of a segment by which it is not worth cutting it short, and of a ramp by which it is not
+"""Fraction of a segment by which it is not worth cutting it short, and of a ramp by which it is not
 worth cruising."""
 
 
@@ -152,10 +152,10 @@ class TrajectorySegment:
         # A ramp covers v T / 2.
         braking = self.top_speed * self.ramp / 2.0
         made = max(float(self.time_scaling.value(t)[0, 0]), braking)
-        share = (made + braking) / self.length
-        if share >= 1.0 - ROUND_OFF:
+        fraction = (made + braking) / self.length
+        if fraction >= 1.0 - ROUND_OFF:
             return self
-        end = np.array(self.start) + share * np.subtract(self.end, self.start)
+        end = np.array(self.start) + fraction * np.subtract(self.end, self.start)
         return replace(self, end=tuple(end.tolist()))
 
 

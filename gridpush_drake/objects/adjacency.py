@@ -12,7 +12,7 @@ SIDE_REACH = 1.2
 """Two cells share a side if their centers are nearer than this many cell sides. Centers of diagonal
 neighbors are sqrt(2) sides apart."""
 
-FLATNESS = 1e-9
+LINE_TOLERANCE = 1e-9
 """Cells stand in one line if their extent across it is below this many cell sides."""
 
 
@@ -79,7 +79,7 @@ def _delaunay_edges(p_BC: Array, cell_size: float) -> IntArray:
     centered = (p_BC - p_BC.mean(axis=0)) / cell_size
     along, _, axes = np.linalg.svd(centered, full_matrices=False)
     across = centered @ axes[-1]
-    if len(p_BC) > 2 and np.ptp(across) > FLATNESS:
+    if len(p_BC) > 2 and np.ptp(across) > LINE_TOLERANCE:
         try:
             corners = Delaunay(centered).simplices
         except QhullError:

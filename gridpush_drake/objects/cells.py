@@ -15,7 +15,8 @@ from shapely import Polygon
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.geometry.se2 import Array, IntArray
-from gridpush_drake.notebook import MM, count, draw_cells, make_page
+from gridpush_drake.notebook import count, draw_cells, make_page
+from gridpush_drake.units import MM_PER_M
 
 DEFAULT_MAX_CELLS = 127
 """Largest number of cells where nobody asks for another one; it is the paper's largest grid."""
@@ -47,7 +48,7 @@ class CellGrid(NamedTuple):
 
     def __repr__(self) -> str:
         """Number of cells and their side, in a line."""
-        return f"CellGrid of {count(len(self.p_BC), 'cell')} of {self.cell_size * MM:.1f} mm"
+        return f"CellGrid of {count(len(self.p_BC), 'cell')} of {self.cell_size * MM_PER_M:.1f} mm"
 
     def _repr_html_(self) -> str:
         """Outline and cells."""
@@ -76,7 +77,7 @@ class Cells:
         return self.corners + self.size / 2
 
 
-NEAREST = 0.99
+MIN_CELL_DISTANCE = 0.99
 """Two cells whose centers are closer than this many sides lie on top of each other."""
 
 
@@ -102,7 +103,7 @@ def check_cells(grid: CellGrid) -> None:
     # Each center's nearest center is itself, unless two are at one place; the second one tells.
     distances, neighbors = cKDTree(centers).query(centers, k=2)
     nearest = int(np.argmin(distances[:, 1]))
-    if distances[nearest, 1] < NEAREST * size:
+    if distances[nearest, 1] < MIN_CELL_DISTANCE * size:
         pair = sorted({nearest, int(neighbors[nearest, 1]), int(neighbors[nearest, 0])})[:2]
         raise ObjectError(
             f"cells.centers[{pair[0]}] and [{pair[1]}] are {distances[nearest, 1]:g} m apart; "

@@ -18,12 +18,12 @@ from gridpush_drake.files import write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import Array, IntArray, transform
-from gridpush_drake.notebook import MM, count, draw_cells, make_page
+from gridpush_drake.notebook import count, draw_cells, make_page
 from gridpush_drake.objects.adjacency import calc_adjacency
 from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, MIN_SIZE, CellGrid
 from gridpush_drake.objects.mask import coarsen_mask
 from gridpush_drake.objects.object_file import (
-    NAME,
+    EXPECTED_NAME,
     PhysicalPrior,
     dump_object,
     is_name,
@@ -31,6 +31,7 @@ from gridpush_drake.objects.object_file import (
     read_object_file,
 )
 from gridpush_drake.objects.outline import MAX_SIZE, fill_outline
+from gridpush_drake.units import MM_PER_M
 from gridpush_drake.yaml_file import shorten
 
 
@@ -61,7 +62,7 @@ class GridObject(Frozen):
 
     def __post_init__(self) -> None:
         if not is_name(self.name):
-            raise ObjectError(f"name is {shorten(self.name)}; expected {NAME}")
+            raise ObjectError(f"name is {shorten(self.name)}; expected {EXPECTED_NAME}")
         p_BC = np.array(self.p_BC, dtype=np.float64)
         try:
             labels = np.array(self.labels, dtype=np.int64)
@@ -106,10 +107,10 @@ class GridObject(Frozen):
     def __repr__(self) -> str:
         """Name, cells, parts and measures, in a line."""
         left, low, right, high = self.outline.bounds
-        size = f"{(right - left) * MM:.0f} x {(high - low) * MM:.0f} mm"
+        size = f"{(right - left) * MM_PER_M:.0f} x {(high - low) * MM_PER_M:.0f} mm"
         parts = count(len(np.unique(self.labels)), "part")
-        height = "" if self.height is None else f", {self.height * MM:.0f} mm high"
-        cells = f"{count(self.n, 'cell')} of {self.cell_size * MM:.1f} mm in {parts}"
+        height = "" if self.height is None else f", {self.height * MM_PER_M:.0f} mm high"
+        cells = f"{count(self.n, 'cell')} of {self.cell_size * MM_PER_M:.1f} mm in {parts}"
         return f"GridObject {self.name!r}: {cells}, {size}{height}"
 
     def _repr_html_(self) -> str:

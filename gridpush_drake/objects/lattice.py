@@ -20,12 +20,12 @@ import numpy as np
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.cells import Cells
 
-Share = Callable[[Array, float], Array]
+Proportion = Callable[[Array, float], Array]
 """Says how much of square cells is object: from their lower corners (k, 2) and their side to the
 shares (k,), 0 to 1."""
 
-MIN_SHARE = 0.5 - 1e-9
-"""Share of a cell that must be object for the cell to belong to the object: half, but for
+MIN_FRACTION = 0.5 - 1e-9
+"""Fraction of a cell that must be object for the cell to belong to the object: half, but for
 round-off."""
 
 SIZES_FROM = 0.9
@@ -52,7 +52,7 @@ MAX_LATTICE_PER_CELL = 20
 """A shape whose bounding box takes more than this many times `max_cells` (and more than
 `MAX_PHASED`) is far thinner than that box. It is filled with the cells that it touches."""
 
-EXACT = 1e-6
+EXACT_TILING_ERROR = 1e-6
 """Error below which the cells are said to tile the shape."""
 
 EXACT_LOSS = 0.11
@@ -69,7 +69,7 @@ AREA_WEIGHT = 0.5
 """Weight of the logarithmic error of the area, where errors of the other moments have one: the
 cells' area matters less to sliding than where they are."""
 
-ROUNDING = 1e-9
+DIVISION_SLACK = 1e-9
 """Relative slack within which a size divides a side."""
 
 
@@ -93,7 +93,7 @@ class Region:
 
 
 def choose_cells(
-    region: Region, share: Share, overlap: Share, max_cells: int, min_size: float = 0.0
+    region: Region, fraction: Proportion, overlap: Proportion, max_cells: int, min_size: float = 0.0
 ) -> Cells:
     """Fills a shape with many cells that are true to it.
 
@@ -103,8 +103,8 @@ def choose_cells(
 
     Args:
         region: the shape's measures.
-        share: tells which cells belong to the shape: those that are at least half object.
-        overlap: exact share of each cell's area, for shapes so thin that no cell is half full.
+        fraction: tells which cells belong to the shape: those that are at least half object.
+        overlap: exact fraction of each cell's area, for shapes so thin that no cell is half full.
         max_cells: largest number of cells.
         min_size: smallest side of a cell, in the region's unit.
 
@@ -120,7 +120,7 @@ def choose_cells(
         points = float(np.prod(region.extent / low + 1))
         if points > max(MAX_PHASED, MAX_LATTICE_PER_CELL * max_cells):
             break
-        best = _find_best(region, share, max_cells, low, high, points)
+        best = _find_best(region, fraction, max_cells, low, high, points)
         if best is not None:
             return best
         low = high
@@ -129,13 +129,13 @@ def choose_cells(
 
 
 def _find_best(
-    region: Region, share: Share, max_cells: int, low: float, high: float, points: float
+    region: Region, fraction: Proportion, max_cells: int, low: float, high: float, points: float
 ) -> Cells | None:
     """Finds the cells of least cost whose size is within a range.
 
     Args:
         region: the shape's measures.
-        share: tells which cells belong to the shape.
+        fraction: tells which cells belong to the shape.
         max_cells: largest number of cells.
         low: smallest size.
         high: largest size.
@@ -148,7 +148,7 @@ def _find_best(
     min_cost = np.inf
     for size in _candidate_sizes(region, low, high, points).tolist():
         for corners in _lattices(region, size, phased=points < MAX_PHASED):
-            belong = share(corners, size) >= MIN_SHARE
+            belong = fraction(corners, size) >= MIN_FRACTION
             cells = Cells(corners=corners[belong], size=size)
             if not 0 < len(cells.corners) <= max_cells:
                 continue
@@ -169,7 +169,7 @@ def _candidate_sizes(region: Region, low: float, high: float, points: float) -> 
     sizes = [np.geomspace(low, high, count)]
     for side in region.extent:
         fewest = max(1, np.ceil(side / high))
-        most = np.floor(side / low * (1 + ROUNDING))
+        most = np.floor(side / low * (1 + DIVISION_SLACK))
         divisions = np.arange(fewest, most + 1)
         stride = 1 + len(divisions) // count
         sizes.append(side / divisions[::stride])
@@ -195,7 +195,7 @@ def _calc_cost(region: Region, cells: Cells, max_cells: int) -> float:
 
     # A tiling is worth some cells: it counts less that it leaves them unused.
     unused = 1 - n / max_cells
-    is_preferred = error < EXACT and unused <= EXACT_LOSS
+    is_preferred = error < EXACT_TILING_ERROR and unused <= EXACT_LOSS
     return float(ERROR_WEIGHT * error + unused * (EXACT_DISCOUNT if is_preferred else 1))
 
 
@@ -213,8 +213,8 @@ def _lattices(region: Region, size: float, phased: bool) -> Iterator[Array]:
     """
     axes = []
     for low, extent in zip(region.low, region.extent, strict=True):
-        up = max(1, int(np.ceil(extent / size * (1 - ROUNDING))))
-        down = max(1, int(np.floor(extent / size * (1 + ROUNDING))))
+        up = max(1, int(np.ceil(extent / size * (1 - DIVISION_SLACK))))
+        down = max(1, int(np.floor(extent / size * (1 + DIVISION_SLACK))))
         # Where the first cell begins, and how many there are: centered first.
         starts = [(low + (extent - up * size) / 2, up)]
         if phased and up != down:
@@ -230,7 +230,7 @@ def _lattices(region: Region, size: float, phased: bool) -> Iterator[Array]:
         yield corners.reshape(-1, 2)
 
 
-def _take_touched(region: Region, overlap: Share, max_cells: int, min_size: float) -> Cells:
+def _take_touched(region: Region, overlap: Proportion, max_cells: int, min_size: float) -> Cells:
     """Takes the finest cells of which a shape touches at most `max_cells`.
 
     The first cell covers the bounding box; each is cut in four again and again, and those that the

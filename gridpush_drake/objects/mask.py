@@ -1,7 +1,7 @@
 """Label images (PGM, PNG): read with their labels as stored, and turned into cells and an outline.
 
 In a label image 0 is background, and every other value a part of the object. (Pictures and depth
-images of a camera are made into objects in `perception.detection`.)
+images of a camera are made into objects in `perception.detection.detection`.)
 """
 
 import math
@@ -21,17 +21,18 @@ from scipy.ndimage import find_objects, label, map_coordinates
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import ObjectError, ObjectWarning, require_positive
-from gridpush_drake.files import MEGABYTE, open_file, read_bytes
+from gridpush_drake.files import open_file, read_bytes
 from gridpush_drake.geometry.contour import calc_contour
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.cells import CellGrid, Cells, check_max_cells
-from gridpush_drake.objects.lattice import Region, Share, choose_cells
+from gridpush_drake.objects.lattice import Proportion, Region, choose_cells
+from gridpush_drake.units import BYTES_PER_MEGABYTE
 
 MAX_PIXELS = 100_000_000
 """Largest number of pixels. An image with more is refused before it is decoded; one with so many
 takes a gigabyte and some seconds."""
 
-MAX_FILE_SIZE = 1024 * MEGABYTE
+MAX_FILE_SIZE = 1024 * BYTES_PER_MEGABYTE
 """Largest size of an image file, bytes. It is more than `MAX_PIXELS` pixels of 16 bit take."""
 
 STRIP_PIXELS = 4_000_000
@@ -56,16 +57,16 @@ that no header can keep the reader busy."""
 PGM_HEADER = re.compile(rb"(P[25])" + (PGM_GAP + rb"(\d{1,9}+)") * 3 + rb"(?:[ \t]*+#[^\r\n]*+)?\s")
 """Header of a plain (P2) or raw (P5) PGM: kind, width, height and greatest value."""
 
-MAX_PLAIN_SIZE = 32 * MEGABYTE
+MAX_PLAIN_SIZE = 32 * BYTES_PER_MEGABYTE
 """Largest size of a plain PGM, whose numbers are text, bytes."""
 
 PGM_HEADER_ROOM = 4096
 """Number of bytes within which a PGM's header must end."""
 
-FORM = "a PGM or PNG label image: 0 is background, every other value a part"
+MASK_FORM = "a PGM or PNG label image: 0 is background, every other value a part"
 """The expected form of a mask, for messages."""
 
-WANTED = f"expected {FORM}"
+EXPECTED_MASK = f"expected {MASK_FORM}"
 """End of the messages that refuse a mask."""
 
 Rows = Callable[[int, int], NDArray[np.generic]]
@@ -85,7 +86,7 @@ def read_labels(path: Path) -> NDArray[np.uint16]:
         ObjectError: the file cannot be read, is a color image or another kind of file, is too
             large, or holds background only.
     """
-    with open_file(path, FORM, ObjectError, MAX_FILE_SIZE) as file:
+    with open_file(path, MASK_FORM, ObjectError, MAX_FILE_SIZE) as file:
         head = file.read(PGM_HEADER_ROOM)
         file.seek(0)
         if head.startswith(PNG_SIGNATURE):
@@ -93,8 +94,8 @@ def read_labels(path: Path) -> NDArray[np.uint16]:
         if head[:2] in (b"P2", b"P5"):
             return _read_pgm(path, file, head)
     if head[:2] in (b"P3", b"P6"):
-        raise ObjectError(f"{path}: is a color image (PPM); {WANTED}")
-    raise ObjectError(f"{path}: is neither PGM nor PNG; {WANTED}")
+        raise ObjectError(f"{path}: is a color image (PPM); {EXPECTED_MASK}")
+    raise ObjectError(f"{path}: is neither PGM nor PNG; {EXPECTED_MASK}")
 
 
 def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
@@ -121,7 +122,7 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
         used_rows[top : top + step] = object_here.any(axis=1)
         used_columns |= object_here.any(axis=0)
     if not used_rows.any():
-        raise ObjectError(f"{path}: holds background (0) only; {WANTED}")
+        raise ObjectError(f"{path}: holds background (0) only; {EXPECTED_MASK}")
     top, bottom = _find_range(used_rows)
     left, right = _find_range(used_columns)
     labels = np.empty((bottom - top, right - left), dtype=np.uint16)
@@ -129,7 +130,7 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
         last = min(bottom, first + step)
         labels[first - top : last - top] = rows(first, last)[:, left:right]
     if labels.shape == (height, width):
-        _doubt_inverted(path, labels)
+        _warn_of_inversion(path, labels)
     return labels
 
 
@@ -139,21 +140,21 @@ def _find_range(used: NDArray[np.bool_]) -> tuple[int, int]:
     return int(places[0]), int(places[-1]) + 1
 
 
-INVERTED_SHARE = 0.01
-"""Share of a picture from which on a hole may be the object of an inverted mask."""
+INVERTED_FRACTION = 0.01
+"""Fraction of a picture from which on a hole may be the object of an inverted mask."""
 
-MAIN_SHARE = 0.9
-"""Share of all background from which on a hole may be the object of an inverted mask."""
+MAIN_FRACTION = 0.9
+"""Fraction of all background from which on a hole may be the object of an inverted mask."""
 
 
-def _doubt_inverted(path: Path, labels: NDArray[np.uint16]) -> None:
+def _warn_of_inversion(path: Path, labels: NDArray[np.uint16]) -> None:
     """Warns where all of the border is object, and one hole is nearly all of the background."""
     edges = (labels[0], labels[-1], labels[:, 0], labels[:, -1])
     if not all(edge.all() for edge in edges):
         return
     holes, count = label(labels == 0)
     sizes = np.bincount(holes.ravel())[1:]
-    if count and sizes.max() >= max(INVERTED_SHARE * labels.size, MAIN_SHARE * sizes.sum()):
+    if count and sizes.max() >= max(INVERTED_FRACTION * labels.size, MAIN_FRACTION * sizes.sum()):
         warnings.warn(
             f"{path}: is the mask inverted? The object takes all of the picture's border and has "
             f"a hole of {sizes.max()} pixels; expected 0 for background, beyond the border too",
@@ -171,7 +172,7 @@ def _read_png(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
             _check_size(path, *image.size)
             if image.mode not in PNG_MODES:
                 raise ObjectError(
-                    f"{path}: is a color or transparent image ({image.mode}); {WANTED}"
+                    f"{path}: is a color or transparent image ({image.mode}); {EXPECTED_MASK}"
                 )
             stretch = PNG_GRAY_STRETCH.get(head[PNG_DEPTH_AT], 1) if image.mode == "L" else 1
             image.load()
@@ -182,14 +183,14 @@ def _read_png(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
 
             return crop(path, rows, width, height)
     except (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error) as error:
-        raise ObjectError(f"{path}: is a damaged PNG ({error}); {WANTED}") from error
+        raise ObjectError(f"{path}: is a damaged PNG ({error}); {EXPECTED_MASK}") from error
 
 
 def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
     """Reads a PGM file, which begins with `head`, and crops it."""
     header = PGM_HEADER.match(head)
     if header is None:
-        raise ObjectError(f"{path}: is a PGM with a damaged header; {WANTED}")
+        raise ObjectError(f"{path}: is a PGM with a damaged header; {EXPECTED_MASK}")
     width, height, greatest = (int(number) for number in header.groups()[1:])
     _check_size(path, width, height)
     if not 0 < greatest <= np.iinfo(np.uint16).max:
@@ -234,7 +235,7 @@ MAX_PARTS = 100
 """Largest number of labels. An image with more is taken for a photograph, or for a mask with
 softened edges."""
 
-CENTER = 0.5
+PIXEL_CENTER = 0.5
 """Distance of a pixel's center from its corner in x and y, pixels."""
 
 
@@ -268,8 +269,8 @@ def coarsen_mask(
     # From here to the last step, lengths are in blocks of pixels, with y down.
     block = int(np.ceil(np.sqrt(labels.size / WORKING_PIXELS)))
     coverage = _average(labels, None, block)
-    share = _make_share(coverage)
-    cells = choose_cells(_describe(coverage), share, share, int(max_cells), min_size=1.0)
+    fraction = _make_fraction(coverage)
+    cells = choose_cells(_describe(coverage), fraction, fraction, int(max_cells), min_size=1.0)
     majority = _vote(labels, values, block, cells)
     contour = calc_contour(coverage)
 
@@ -332,7 +333,7 @@ def _find_values(path: Path, labels: NDArray[np.uint16]) -> IntArray:
 
 
 def _average(labels: NDArray[np.uint16], value: int | None, block: int) -> Array:
-    """Calculates which share of each square block of pixels has a label.
+    """Calculates which fraction of each square block of pixels has a label.
 
     Args:
         labels: (height, width) labels.
@@ -345,7 +346,7 @@ def _average(labels: NDArray[np.uint16], value: int | None, block: int) -> Array
     height, width = labels.shape
     rows = math.ceil(height / block)
     columns = math.ceil(width / block)
-    share = np.empty((rows, columns))
+    fraction = np.empty((rows, columns))
     # Strip by strip, for the comparison and the padding take memory.
     step = max(1, WORKING_PIXELS // (width * block))
     for first in range(0, rows, step):
@@ -355,12 +356,12 @@ def _average(labels: NDArray[np.uint16], value: int | None, block: int) -> Array
         missing_columns = columns * block - width
         padded = np.pad(wanted, ((0, missing_rows), (0, missing_columns)))
         blocks = padded.reshape(-1, block, columns, block)
-        share[first : first + step] = blocks.mean(axis=(1, 3))
-    return share
+        fraction[first : first + step] = blocks.mean(axis=(1, 3))
+    return fraction
 
 
-def _make_share(coverage: Array) -> Share:
-    """Makes the function that calculates the exact share of square cells that is object.
+def _make_fraction(coverage: Array) -> Proportion:
+    """Makes the function that calculates the exact fraction of square cells that is object.
 
     It is by the summed-area table S, which is bilinear within a pixel:
 
@@ -369,7 +370,7 @@ def _make_share(coverage: Array) -> Share:
     table = np.zeros(np.add(coverage.shape, 1))
     table[1:, 1:] = coverage.cumsum(axis=0).cumsum(axis=1)
 
-    def share(corners: Array, size: float) -> Array:
+    def fraction(corners: Array, size: float) -> Array:
         x0, y0 = corners.T
         x1, y1 = corners.T + size
         # The table's first index is the row.
@@ -377,7 +378,7 @@ def _make_share(coverage: Array) -> Share:
         S_00, S_11, S_10, S_01 = map_coordinates(table, at, order=1, mode="nearest")
         return (S_00 + S_11 - S_10 - S_01) / size**2
 
-    return share
+    return fraction
 
 
 def _describe(coverage: Array) -> Region:
@@ -385,8 +386,8 @@ def _describe(coverage: Array) -> Region:
     area = float(coverage.sum())
     by_x = coverage.sum(axis=0)
     by_y = coverage.sum(axis=1)
-    x = np.arange(len(by_x)) + CENTER
-    y = np.arange(len(by_y)) + CENTER
+    x = np.arange(len(by_x)) + PIXEL_CENTER
+    y = np.arange(len(by_y)) + PIXEL_CENTER
     centroid = np.array([by_x @ x, by_y @ y]) / area
     dx = x - centroid[0]
     dy = y - centroid[1]
@@ -404,14 +405,14 @@ def _describe(coverage: Array) -> Region:
 
 
 def _vote(labels: NDArray[np.uint16], values: IntArray, block: int, cells: Cells) -> IntArray:
-    """Finds the label with the largest share of each cell: (n,), the lowest of equals."""
+    """Finds the label with the largest fraction of each cell: (n,), the lowest of equals."""
     if len(values) == 1:
         return np.full(len(cells.corners), values[0])
     best = np.zeros(len(cells.corners))
     winner = np.full(len(cells.corners), values[0])
     for value in values:
-        calc_share = _make_share(_average(labels, int(value), block))
-        share = calc_share(cells.corners, cells.size)
-        winner = np.where(share > best, value, winner)
-        best = np.maximum(share, best)
+        calc_fraction = _make_fraction(_average(labels, int(value), block))
+        fraction = calc_fraction(cells.corners, cells.size)
+        winner = np.where(fraction > best, value, winner)
+        best = np.maximum(fraction, best)
     return winner

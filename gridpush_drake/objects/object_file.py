@@ -65,7 +65,7 @@ _RANGES = {
 UNIFORM_WIDTH = 12.0**0.5
 """Width of a uniform distribution, in its standard deviations."""
 
-UNTOLD_FRICTION = (0.1, 0.9)
+UNKNOWN_FRICTION = (0.1, 0.9)
 """Least and greatest friction coefficient of a cell against the table where nothing is told."""
 
 SUPPOSED_FRICTION = 0.3
@@ -118,7 +118,7 @@ class PhysicalPrior:
 
     def forget(self) -> "PhysicalPrior":
         """Makes the prior of an object of which nothing is told: mass, center or friction."""
-        low, high = UNTOLD_FRICTION
+        low, high = UNKNOWN_FRICTION
         return replace(
             self,
             total_mass=None,
@@ -155,7 +155,7 @@ MAX_RADIUS = 1.0
 MAX_NAME = 200
 """Largest number of characters of an object's name."""
 
-NAME = f"some text, at most {MAX_NAME} characters, without control characters"
+EXPECTED_NAME = f"some text, at most {MAX_NAME} characters, without control characters"
 
 
 def speak_name(name: str) -> str:
@@ -174,16 +174,18 @@ def is_name(text: str) -> bool:
     return 0 < len(text) <= MAX_NAME and printable
 
 
-MODEL = "gridpush_model"
+MODEL_KEY = "gridpush_model"
 """The first key of a learned model's file."""
 
-POINTS = "at least three points [x, y], in meters"
-LABEL = f"a whole number, 1 or more, at most {MAX_LABEL}"
+EXPECTED_POINTS = "at least three points [x, y], in meters"
+EXPECTED_LABEL = f"a whole number, 1 or more, at most {MAX_LABEL}"
 
 Point = Annotated[tuple[float, float], Strict(False)]
-Points = Annotated[list[Point], Field(min_length=3, description=POINTS)]
-FRICTION = f"a positive number, at most {GREATEST_FRICTION:g}"
-Friction = Annotated[float, Field(ge=LEAST_FRICTION, le=GREATEST_FRICTION, description=FRICTION)]
+Points = Annotated[list[Point], Field(min_length=3, description=EXPECTED_POINTS)]
+EXPECTED_FRICTION = f"a positive number, at most {GREATEST_FRICTION:g}"
+Friction = Annotated[
+    float, Field(ge=LEAST_FRICTION, le=GREATEST_FRICTION, description=EXPECTED_FRICTION)
+]
 ContactFriction = Annotated[
     float,
     Field(
@@ -192,8 +194,8 @@ ContactFriction = Annotated[
         description=f"a number, 0 or more, at most {GREATEST_FRICTION:g}",
     ),
 ]
-LENGTH = f"a positive number, in meters, at most {MAX_SIZE:g}"
-Length = Annotated[float, Field(ge=MIN_SIZE, le=MAX_SIZE, description=LENGTH)]
+EXPECTED_LENGTH = f"a positive number, in meters, at most {MAX_SIZE:g}"
+Length = Annotated[float, Field(ge=MIN_SIZE, le=MAX_SIZE, description=EXPECTED_LENGTH)]
 Label = Annotated[int, Field(ge=1, le=MAX_LABEL)]
 
 
@@ -207,7 +209,7 @@ class MaskSchema(StrictSchema):
 class PartSchema(StrictSchema):
     """A part of an outline: its label and where it is, body frame, m."""
 
-    label: Label = Field(description=LABEL)
+    label: Label = Field(description=EXPECTED_LABEL)
     outline: Points
 
 
@@ -235,7 +237,7 @@ class CenterOfMassSchema(StrictSchema):
     """Prior of the center of mass, body frame, m."""
 
     at: Point = Field(description="a point [x, y], in meters")
-    std: Annotated[float, Field(ge=LEAST_SPREAD, le=MAX_SIZE, description=LENGTH)] = (
+    std: Annotated[float, Field(ge=LEAST_SPREAD, le=MAX_SIZE, description=EXPECTED_LENGTH)] = (
         PhysicalPrior.center_of_mass_std
     )
 
@@ -252,9 +254,9 @@ class ContactFrictionSchema(StrictSchema):
     """Prior of the friction of the pusher against the object."""
 
     prior: ContactFriction = PhysicalPrior.contact_friction
-    std: Annotated[float, Field(ge=LEAST_SPREAD, le=GREATEST_FRICTION, description=FRICTION)] = (
-        PhysicalPrior.contact_friction_std
-    )
+    std: Annotated[
+        float, Field(ge=LEAST_SPREAD, le=GREATEST_FRICTION, description=EXPECTED_FRICTION)
+    ] = PhysicalPrior.contact_friction_std
 
 
 class PusherSchema(StrictSchema):
@@ -263,7 +265,7 @@ class PusherSchema(StrictSchema):
     radius: float = Field(
         gt=0, le=MAX_RADIUS, description=f"a positive number, in meters, at most {MAX_RADIUS:g}"
     )
-    height: Length | None = Field(None, description=LENGTH)
+    height: Length | None = Field(None, description=EXPECTED_LENGTH)
 
 
 class TagSchema(StrictSchema):
@@ -292,9 +294,9 @@ class SeenSchema(StrictSchema):
 class ObjectSchema(StrictSchema):
     """An object: a whole object file, and the object of a model file."""
 
-    name: str | None = Field(None, min_length=1, description=NAME)
-    outline: Points | None = Field(None, description=POINTS)
-    holes: list[Points] = Field([], description=f"a list of holes, each {POINTS}")
+    name: str | None = Field(None, min_length=1, description=EXPECTED_NAME)
+    outline: Points | None = Field(None, description=EXPECTED_POINTS)
+    holes: list[Points] = Field([], description=f"a list of holes, each {EXPECTED_POINTS}")
     parts: list[PartSchema] = Field(
         [], description="a list of parts, each with a label and an outline"
     )
@@ -308,7 +310,7 @@ class ObjectSchema(StrictSchema):
         le=MAX_CELLS,
         description=f"a whole number, 1 or more, at most {MAX_CELLS}",
     )
-    height: Length | None = Field(None, description=LENGTH)
+    height: Length | None = Field(None, description=EXPECTED_LENGTH)
     seen: SeenSchema | None = Field(None, description="pixel, pose and, where there is one, tag")
     total_mass: float | None = Field(
         None,
@@ -376,14 +378,14 @@ class ObjectSchema(StrictSchema):
         )
 
 
-RENAMED = {
+RENAMED_KEYS = {
     "centre_of_mass": "this key is called center_of_mass now",
     "cells.centres": "this key is called centers now",
     "mask.metres_per_pixel": "this key is called meters_per_pixel now",
 }
 """What became of keys of old, by their place in the object."""
 
-WHAT = "an object file (name, outline or mask, max_cells, ...)"
+EXPECTED_OBJECT = "an object file (name, outline or mask, max_cells, ...)"
 
 
 def read_object_file(path: Path) -> ObjectSchema:
@@ -393,10 +395,10 @@ def read_object_file(path: Path) -> ObjectSchema:
         ObjectError: the file cannot be read, has an unknown key or a value out of range; the
             message names the file, the field and the expected form.
     """
-    data = read_mapping(path, WHAT)
-    if MODEL in data:
-        raise ObjectError(f"{path}: is a learned model; expected {WHAT}")
-    return check_mapping(path, data, ObjectSchema, ObjectError, RENAMED)
+    data = read_mapping(path, EXPECTED_OBJECT)
+    if MODEL_KEY in data:
+        raise ObjectError(f"{path}: is a learned model; expected {EXPECTED_OBJECT}")
+    return check_mapping(path, data, ObjectSchema, ObjectError, RENAMED_KEYS)
 
 
 def make_cells(

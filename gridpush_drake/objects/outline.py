@@ -23,8 +23,8 @@ MAX_SIZE = 1e4
 MAX_POINTS = 50_000
 """Largest number of points of an outline with its holes. Outlines of masks have fewer."""
 
-THINNEST = 1e-12
-"""Share of its squared diameter below which an outline's area counts as none."""
+MIN_AREA_FRACTION = 1e-12
+"""Fraction of its squared diameter below which an outline's area counts as none."""
 
 EDGE_SLACK = 1e-9
 """Distance from the outline within which a center counts as inside, in the outline's diameters."""
@@ -62,18 +62,18 @@ def fill_outline(
     slightly_larger = polygon.buffer(slack, join_style="mitre")
     shapely.prepare(slightly_larger)
 
-    def share(corners: Array, size: float) -> Array:
+    def fraction(corners: Array, size: float) -> Array:
         """Tells cells by their centers: whole where the center is inside, else nothing."""
         x, y = (corners + size / 2).T
         return shapely.contains_xy(slightly_larger, x, y).astype(np.float64)
 
     def overlap(corners: Array, size: float) -> Array:
-        """Measures the share of each cell's area that is inside."""
+        """Measures the fraction of each cell's area that is inside."""
         boxes = shapely.box(*corners.T, *(corners + size).T)
         return shapely.area(shapely.intersection(boxes, polygon)) / size**2
 
     # The lattice is chosen by these two measures of its cells.
-    cells = choose_cells(region, share, overlap, int(max_cells))
+    cells = choose_cells(region, fraction, overlap, int(max_cells))
     return CellGrid(
         p_BC=cells.centers,
         cell_size=cells.size,
@@ -109,7 +109,7 @@ def make_polygon(
         raise ObjectError(f"{what} has {count} points; expected at most {MAX_POINTS}")
     # The hull's area is looked at, for that of a polygon that crosses itself may be anything.
     width, height = np.subtract(polygon.bounds[2:], polygon.bounds[:2])
-    least_area = THINNEST * (width**2 + height**2)
+    least_area = MIN_AREA_FRACTION * (width**2 + height**2)
     if not (np.isfinite(polygon.area) and polygon.convex_hull.area > least_area):
         raise ObjectError(
             f"{what} encloses no area; expected vertices in meters, not all on one line"

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from gridpush_drake.errors import ParameterError
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.notebook import MM, count, describe_range, make_page, make_table
+from gridpush_drake.notebook import count, describe_range, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.units import MM_PER_M
 
 DEFAULT_TOTAL_MASS = 1.0
 """Mass that is taken for an object that was never weighed, kg."""
@@ -81,7 +82,7 @@ class CellParameters(Frozen):
         more = (
             ""
             if self.push_height == 0
-            else f", pushed {self.push_height * MM:.1f} mm above the table"
+            else f", pushed {self.push_height * MM_PER_M:.1f} mm above the table"
         )
         return f"CellParameters of {count(self.n, 'cell')}: {loads};\n{frictions}{more}"
 

@@ -16,7 +16,7 @@ belong to the same rest if
 and their mean says where the object lies. Poses from before one that differs from the last are
 forgotten.
 
-Every push that was made is judged by the model as it was before it (`identification.surprise`). A
+Every push that was made is judged by the model as it was before it (`identification.innovation`). A
 loop says of a push that it surprised. After two surprises in a row, or a clear one, the object is
 another one than was learned: the loop falls back to pokes, and does not slide on. Where the object
 hangs over the edge, any surprise is enough to stop.
@@ -32,8 +32,8 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.innovation import InnovationRecord
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.identification.surprise import SurpriseRecord
 from gridpush_drake.planning.robot_status import GraspStatus, PressStatus, PushStatus
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -42,13 +42,13 @@ Pose = tuple[float, float, float]
 
 # Every loop has these modes, beside its own.
 
-WAITING = "waiting"
+WAITING_MODE = "waiting"
 """Mode of a loop that waits for the robot to be ready, or for the object to be seen at rest."""
 
-LOST = "lost"
+LOST_MODE = "lost"
 """Mode of a loop whose object is out of sight."""
 
-FAILED = "failed"
+FAILED_MODE = "failed"
 """Mode of a loop that gave up."""
 
 MAX_FALLBACKS = 2
@@ -207,7 +207,7 @@ class LoopState(Unchanging):
 
     Attributes:
         status: what the loop says of itself: frozen, with a `mode`, a `reason`, an
-            `expected_pose`, and the fields `surprises` and `surprise`.
+            `expected_pose`, and the fields `innovations` and `surprise`.
         filter: poses seen since everything came to rest.
         push: the last push asked for; None before the first, and where it was withdrawn.
         push_id: number of the last push asked for, counted from 1; a number is never used again.
@@ -215,7 +215,7 @@ class LoopState(Unchanging):
         request: the decision that is being calculated beside the loop; None where none is.
         believed: what was learned before the last push was asked for; None where that was nothing.
         logged: number of pushes in the log when the last push was asked for.
-        surprises: what surprises there were among the pushes made.
+        innovations: what surprises there were among the pushes made.
         fallbacks: how often the loop fell back to pokes.
     """
 
@@ -227,14 +227,14 @@ class LoopState(Unchanging):
     request: Any = None
     believed: Identification | None = None
     logged: int = 0
-    surprises: SurpriseRecord = field(default_factory=SurpriseRecord)
+    innovations: InnovationRecord = field(default_factory=InnovationRecord)
     fallbacks: int = 0
 
     def is_pending(self, robot: PushStatus) -> bool:
         """Whether the robot has not taken the push up yet."""
         return self.push is not None and robot.command_id != self.push_id
 
-    def turn_to(self: "L", mode: str, reason: str, **others: Any) -> "L":
+    def turn_to(self: "LoopStateType", mode: str, reason: str, **others: Any) -> "LoopStateType":
         """The state in another mode, with nothing seen yet.
 
         Args:
@@ -246,7 +246,9 @@ class LoopState(Unchanging):
         status = replace(self.status, mode=type(self.status.mode)(mode), reason=reason, **changes)
         return replace(self, status=status, filter=self.filter.forget())
 
-    def ask(self: "L", push: Push, mode: str, reason: str, seen: Observation, **others: Any) -> "L":
+    def ask(
+        self: "LoopStateType", push: Push, mode: str, reason: str, seen: Observation, **others: Any
+    ) -> "LoopStateType":
         """The state with another push asked for.
 
         Args:
@@ -265,7 +267,7 @@ class LoopState(Unchanging):
         )
         return asked.turn_to(mode, reason, **others)
 
-    def judge_push(self: "L", log: PushLog) -> "L":
+    def check_innovation(self: "LoopStateType", log: PushLog) -> "LoopStateType":
         """The state after a push was made: whether it surprised is in the status.
 
         A push that is not in the log, because it was not seen, is not judged.
@@ -275,19 +277,19 @@ class LoopState(Unchanging):
         """
         if len(log) <= self.logged:
             return self
-        surprises = self.surprises.note(self.believed, log)
-        if surprises is self.surprises:
+        innovations = self.innovations.note(self.believed, log)
+        if innovations is self.innovations:
             return self
-        sentence = "" if surprises.last is None else surprises.last.describe()
-        status = replace(self.status, surprises=surprises.in_row, surprise=sentence)
-        return replace(self, surprises=surprises, status=status)
+        sentence = "" if innovations.last is None else innovations.last.describe()
+        status = replace(self.status, innovations=innovations.in_row, surprise=sentence)
+        return replace(self, innovations=innovations, status=status)
 
 
-L = TypeVar("L", bound=LoopState)
+LoopStateType = TypeVar("LoopStateType", bound=LoopState)
 """The state of a loop."""
 
 
-class ClosedLoop(Generic[L]):
+class ClosedLoop(Generic[LoopStateType]):
     """Decides again and again what to do with an object, by what is seen.
 
     It holds what never changes; whatever does is in the state, so that one loop may be stepped with
@@ -301,11 +303,11 @@ class ClosedLoop(Generic[L]):
     options: LoopOptions
     pushing_modes: tuple[str, ...] = ()
 
-    def begin(self) -> L:
+    def begin(self) -> LoopStateType:
         """The state before the first observation."""
         raise NotImplementedError
 
-    def step(self, now: L, seen: Observation) -> L:
+    def step(self, now: LoopStateType, seen: Observation) -> LoopStateType:
         """The state after an observation; `now` itself where nothing is new.
 
         The robot is waited for, then the object until it lies still; then the next push, or the
@@ -314,7 +316,7 @@ class ClosedLoop(Generic[L]):
         now, due = self.observe(now, seen)
         return self.decide(now, seen) if due else now
 
-    def observe(self, now: L, seen: Observation) -> tuple[L, bool]:
+    def observe(self, now: LoopStateType, seen: Observation) -> tuple[LoopStateType, bool]:
         """The state after an observation, but for the decision, which takes long.
 
         Returns:
@@ -330,14 +332,14 @@ class ClosedLoop(Generic[L]):
         now = self._observe(now, seen)
         return now, len(now.filter) >= self.options.observations
 
-    def decide(self, now: L, seen: Observation) -> L:
+    def decide(self, now: LoopStateType, seen: Observation) -> LoopStateType:
         """The state after the decision that is due, with the object observed at rest.
 
         This is a pure function, so that it may be calculated beside the loop.
         """
         raise NotImplementedError
 
-    def is_outdated(self, now: L, seen: Observation) -> bool:
+    def is_outdated(self, now: LoopStateType, seen: Observation) -> bool:
         """Whether a decision that was begun for `now` is of no use any more.
 
         It is not if the robot is at work, or the object no longer where it was.
@@ -345,33 +347,33 @@ class ClosedLoop(Generic[L]):
         at_rest = seen.robot_ready and self.options.are_of_one_rest(now.filter.poses, seen.pose)
         return not at_rest or now.is_pending(seen.robot)
 
-    def is_idle(self, now: L) -> bool:
+    def is_idle(self, now: LoopStateType) -> bool:
         """Whether there is nothing to decide, so that the object need not be observed."""
         raise NotImplementedError
 
-    def _prepare(self, now: L, seen: Observation) -> L:
+    def _prepare(self, now: LoopStateType, seen: Observation) -> LoopStateType:
         """The state with what is new from outside, such as another goal.
 
         It is called between pushes only.
         """
         return now
 
-    def _count_made(self, now: L, seen: Observation) -> dict[str, Any]:
+    def _count_made(self, now: LoopStateType, seen: Observation) -> dict[str, Any]:
         """Fields of the status that change once a push was made."""
         raise NotImplementedError
 
-    def _count_refused(self, now: L) -> dict[str, Any]:
+    def _count_refused(self, now: LoopStateType) -> dict[str, Any]:
         """Fields of the status that change once a push was refused or withdrawn.
 
         `now.refused` holds the pushes that were refused in a row.
         """
         raise NotImplementedError
 
-    def _judge(self, now: L, seen: Observation) -> L:
+    def _judge(self, now: LoopStateType, seen: Observation) -> LoopStateType:
         """The state after a push was made, judged by what the model said of it beforehand."""
-        return now.judge_push(seen.log)
+        return now.check_innovation(seen.log)
 
-    def _wait(self, now: L, seen: Observation) -> L:
+    def _wait(self, now: LoopStateType, seen: Observation) -> LoopStateType:
         """The state while the robot is at work, or about to be.
 
         A push that was not taken up yet when the object went out of sight is withdrawn: when the
@@ -381,34 +383,34 @@ class ClosedLoop(Generic[L]):
         if seen.seen or not seen.robot.ready or not now.is_pending(seen.robot):
             return now
         return replace(now, push=None).turn_to(
-            WAITING, "The object is not seen.", **self._count_refused(now)
+            WAITING_MODE, "The object is not seen.", **self._count_refused(now)
         )
 
-    def _end_push(self, now: L, seen: Observation) -> L:
+    def _end_push(self, now: LoopStateType, seen: Observation) -> LoopStateType:
         """The state after a push that was carried out, broken off, or refused."""
         why = seen.robot.reason
         if not why:
             changes = {"reason": "A push was made.", **self._count_made(now, seen)}
             judged = self._judge(replace(now, refused=()), seen)
-            if judged.surprises is not now.surprises and judged.surprises.last is not None:
+            if judged.innovations is not now.innovations and judged.innovations.last is not None:
                 changes["reason"] += f" {judged.status.surprise}"
-            return judged.turn_to(WAITING, **changes)
+            return judged.turn_to(WAITING_MODE, **changes)
         assert now.push is not None
         now = replace(now, refused=(*now.refused, now.push))
         changes = self._count_refused(now)
         count = len(now.refused)
         if count < self.options.max_refusals:
-            return now.turn_to(WAITING, f"A push was refused: {why}.", **changes)
+            return now.turn_to(WAITING_MODE, f"A push was refused: {why}.", **changes)
         reason = f"The last {count} pushes were refused; the last one because {why}."
-        return now.turn_to(FAILED, reason, **changes)
+        return now.turn_to(FAILED_MODE, reason, **changes)
 
-    def _observe(self, now: L, seen: Observation) -> L:
+    def _observe(self, now: LoopStateType, seen: Observation) -> LoopStateType:
         """The state with what is seen of the object at rest."""
         seen_now = now.filter.take_in(seen.time, seen.pose, self.options)
-        lost = now.status.mode == LOST
+        lost = now.status.mode == LOST_MODE
         if not lost and seen_now.is_overdue(seen.time, self.options):
             reason = f"The object has not been seen for {self.options.timeout:g} s."
-            return now.turn_to(LOST, reason)
+            return now.turn_to(LOST_MODE, reason)
         if lost and len(seen_now):
-            now = now.turn_to(WAITING, "The object is seen again.")
+            now = now.turn_to(WAITING_MODE, "The object is seen again.")
         return now if seen_now is now.filter else replace(now, filter=seen_now)

@@ -134,9 +134,9 @@ def follow_near_edge(
     )
     # Linear between the steps. The last place is where the push ends.
     after = np.clip(np.searchsorted(traveled, places), 1, len(times) - 1)
-    share = (places - traveled[after - 1]) / (traveled[after] - traveled[after - 1])
-    share = np.clip(share, 0.0, 1.0)[:, None]
-    poses = (1.0 - share) * made.poses[:, after - 1] + share * made.poses[:, after]
+    fraction = (places - traveled[after - 1]) / (traveled[after] - traveled[after - 1])
+    fraction = np.clip(fraction, 0.0, 1.0)[:, None]
+    poses = (1.0 - fraction) * made.poses[:, after - 1] + fraction * made.poses[:, after]
     # A model's object lies on the table at all places before the step in which it falls.
     fell_at = np.append(traveled, np.inf)[made.upright]
     counts = np.searchsorted(places, fell_at, side="left")

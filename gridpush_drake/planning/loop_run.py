@@ -3,7 +3,7 @@
 The loop is the one that a controller in a station steps. Here nothing happens between two
 observations but a push. The worlds are in `planning.world`.
 
-After two surprises in a row, or a clear one (`identification.surprise`), what was seen before is
+After two surprises in a row, or a clear one (`identification.innovation`), what was seen before is
 forgotten: the object's load has changed, and the pushes before that are another object's.
 """
 
@@ -16,20 +16,20 @@ import numpy as np
 
 from gridpush_drake.errors import PushRefusedError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.friction_gradient import HeldFriction
+from gridpush_drake.identification.innovation import InnovationRecord
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.identification.surprise import SurpriseRecord
+from gridpush_drake.identification.statistics.friction_gradient import HeldFriction
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation
+from gridpush_drake.planning.closed_loop import ClosedLoop, LoopStateType, Observation
 from gridpush_drake.planning.robot_status import PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import PushWorld
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-from gridpush_drake.pushes.segmentation import UNUSABLE
+from gridpush_drake.pushes.segmentation import UNUSABLE_ERRORS
 
-UNSEEN = np.full(3, np.nan)
+UNSEEN_POSE = np.full(3, np.nan)
 """Pose (3,) of an object that is not seen, and the goal of a loop that is given none."""
 
 Learn = Callable[[GridObject, PushLog, Identification | None], Identification | None]
@@ -89,7 +89,7 @@ class Learner:
 
 
 @dataclass(frozen=True, eq=False)
-class LoopRun(Generic[L]):
+class LoopRun(Generic[LoopStateType]):
     """What came of stepping a loop to its end.
 
     Attributes:
@@ -98,32 +98,32 @@ class LoopRun(Generic[L]):
         identification: what was learned from them; None where that is nothing.
         planning_seconds: wall-clock time of the loop's steps, s.
         learning_seconds: wall-clock time of learning, s.
-        surprises: what surprises there were among the pushes.
+        innovations: what surprises there were among the pushes.
         left_out: names of pushes from which nothing could be learned, and why. They are not shown
             to whoever learns again.
     """
 
-    state: L
+    state: LoopStateType
     log: PushLog = field(default_factory=lambda: PushLog(()))
     identification: Identification | None = None
     planning_seconds: float = 0.0
     learning_seconds: float = 0.0
-    surprises: SurpriseRecord = field(default_factory=SurpriseRecord)
+    innovations: InnovationRecord = field(default_factory=InnovationRecord)
     left_out: Mapping[str, str] = field(default_factory=dict)
 
 
 def run_loop(
-    loop: ClosedLoop[L],
+    loop: ClosedLoop[LoopStateType],
     world: PushWorld,
-    is_over: Callable[[L], bool] | None = None,
+    is_over: Callable[[LoopStateType], bool] | None = None,
     *,
     obj: GridObject | None = None,
     learn: Learn | None = None,
     goal: Array | None = None,
     surface: SupportSurface | None = None,
-    progress: Callable[[L, ObservedPush, bool], None] | None = None,
-    begun: LoopRun[L] | None = None,
-) -> LoopRun[L]:
+    progress: Callable[[LoopStateType, ObservedPush, bool], None] | None = None,
+    begun: LoopRun[LoopStateType] | None = None,
+) -> LoopRun[LoopStateType]:
     """Steps a loop in a world until it is over.
 
     Args:
@@ -145,7 +145,7 @@ def run_loop(
     """
     table = None if surface is None else surface.corners
     run = begun or LoopRun(state=loop.begin(), log=PushLog((), table=table))
-    target = UNSEEN if goal is None else goal
+    target = UNSEEN_POSE if goal is None else goal
     time = 0.0
     refusal = ""
     while not (is_over or loop.is_idle)(run.state):
@@ -156,7 +156,7 @@ def run_loop(
         begin = perf_counter()
         shown = Observation(
             time=time,
-            pose=UNSEEN if pose is None else pose,
+            pose=UNSEEN_POSE if pose is None else pose,
             robot=PushStatus(command_id=before, reason=refusal),
             log=run.log,
             identification=run.identification,
@@ -178,18 +178,18 @@ def run_loop(
         refusal = ""
         begin = perf_counter()
         log = run.log.append(seen)
-        surprises = run.surprises.note(run.identification, log)
+        innovations = run.innovations.note(run.identification, log)
         found = run.identification
         left_out = run.left_out
         if learn is not None and obj is not None:
             # What was learned of another object is no place to begin at.
-            start = None if surprises.is_changed else run.identification
-            shown_log = surprises.select(log)
+            start = None if innovations.is_changed else run.identification
+            shown_log = innovations.select(log)
             kept = [i for i, one in enumerate(shown_log) if one.name not in left_out]
             try:
                 learned_now = learn(obj, shown_log.subset(kept), start)
                 found = run.identification if learned_now is None else learned_now
-            except UNUSABLE as error:
+            except UNUSABLE_ERRORS as error:
                 # One push that nothing is learned from ends no task: it goes on with what it had.
                 left_out = {**left_out, seen.name: str(error)}
         learned = found is not run.identification
@@ -199,7 +199,7 @@ def run_loop(
             log=log,
             identification=found,
             learning_seconds=learning_seconds,
-            surprises=surprises,
+            innovations=innovations,
             left_out=left_out,
         )
         if progress is not None:

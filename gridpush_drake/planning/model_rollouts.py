@@ -1,8 +1,8 @@
 """Pushes followed by many models at once: what a decision for a push is weighed with.
 
 A posterior is weighed by its draws: what a push does is simulated with each of them, and a decision
-looks at the mean of the outcomes, or at what all but a small share of them keep to. Such pushes are
-only compared, so that they are simulated as `PushBatch` does it where poses may be approximate.
+looks at the mean of the outcomes, or at what all but a small fraction of them keep to. Such pushes
+are only compared, so that they are simulated as `PushBatch` does it where poses may be approximate.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ WEIGHED_DRAWS = 100
 """Number of draws from a posterior that decisions are weighed with."""
 
 ROUND_OFF = 1e-9
-"""Share of a draw that is added before shares are rounded down to whole draws."""
+"""Fraction of a draw that is added before fractions are rounded down to whole draws."""
 
 
 def follow_pushes(
@@ -68,7 +68,7 @@ def count_kept(held: NDArray[np.bool_]) -> IntArray:
 
 
 def count_exceptions(draws: int, confidence: float) -> int:
-    """Counts how many of some draws need not keep to what a share of them, `confidence`, keeps to.
+    """Counts how many of some draws need not keep to what the fraction `confidence` keeps to.
 
     With few draws it is none.
     """
@@ -80,7 +80,7 @@ def count_agreed(counts: IntArray, confidence: float) -> int:
 
     Args:
         counts: (M,) steps that each model allows, from the first on, the estimate's first.
-        confidence: share of the draws that must allow a step.
+        confidence: fraction of the draws that must allow a step.
     """
     by_draws = np.sort(counts[1:])[count_exceptions(len(counts) - 1, confidence) :]
     return int(min(counts[0], by_draws[0])) if len(by_draws) else int(counts[0])

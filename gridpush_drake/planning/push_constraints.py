@@ -31,7 +31,7 @@ PushRule = Callable[[Push], bool]
 CHECK_EVERY = 0.003
 """Length of the pusher's path between poses that are checked, m."""
 
-SLACK = 1e-6
+CONSTRAINT_SLACK = 1e-6
 """By how much a rule may be broken, m, for round-off."""
 
 CIRCLE_ROOM = 1.01
@@ -122,12 +122,12 @@ class PushConstraints:
         body = shapely.polygons(transform(q[None], outline))[0]
         on_table = True
         if self.surface is not None:
-            table = self.surface.polygon.buffer(-self.edge_margin + SLACK)
+            table = self.surface.polygon.buffer(-self.edge_margin + CONSTRAINT_SLACK)
             on_table = bool(shapely.covers(table, body))
         blocked = False
         if self.obstacles:
             distance = float(shapely.distance(shapely.union_all(list(self.obstacles)), body))
-            blocked = distance < self.obstacle_margin - SLACK
+            blocked = distance < self.obstacle_margin - CONSTRAINT_SLACK
         return on_table, blocked
 
 
@@ -183,7 +183,9 @@ class PushChecker:
         # If the body is beyond the margin already, the table is made larger by as much.
         points = shapely.points(transform(pose[None], self._points_on_table)[0])
         over = 0.0 if table.is_empty else float(shapely.distance(points, table).max())
-        self._table = table.buffer(over + SLACK) if over > 0 else table.buffer(SLACK)
+        self._table = (
+            table.buffer(over + CONSTRAINT_SLACK) if over > 0 else table.buffer(CONSTRAINT_SLACK)
+        )
         self._finger_table = surface.polygon.buffer(-self.constraints.finger_inset)
         self._room_on_table = self._table.buffer(-self._reach)
         shapely.prepare(self._room_on_table)
@@ -196,7 +198,7 @@ class PushChecker:
         union = shapely.union_all(list(self.constraints.obstacles))
         # If the body is nearer than the margin already, the margin is made smaller by as much.
         room = float(shapely.distance(union, self.place(pose[None])[0]))
-        self._blocked = union.buffer(max(min(margin, room) - SLACK, -SLACK))
+        self._blocked = union.buffer(max(min(margin, room) - CONSTRAINT_SLACK, -CONSTRAINT_SLACK))
         self._finger_blocked = union.buffer(margin + radius)
         self._room_about_obstacles = self._blocked.buffer(self._reach)
         shapely.prepare(self._room_about_obstacles)
@@ -308,7 +310,7 @@ class PushChecker:
         if self.constraints.is_free:
             return np.full(len(poses), len(tip))
         # Only steps about CHECK_EVERY apart are checked, and the last one.
-        step = max(float(np.linalg.norm(np.diff(tip, axis=0), axis=1).mean()), SLACK)
+        step = max(float(np.linalg.norm(np.diff(tip, axis=0), axis=1).mean()), CONSTRAINT_SLACK)
         stride = max(1, int(CHECK_EVERY / step))
         rows = np.unique(np.append(np.arange(0, len(tip), stride), len(tip) - 1))
         checked = poses[:, rows]

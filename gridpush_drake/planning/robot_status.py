@@ -1,7 +1,7 @@
 """What the robot's executors say of themselves, as closed loops and controllers read it.
 
-The executors are systems (`systems.push_executor`, `systems.grasp_executor`,
-`systems.steer_executor`); a simulated world
+The executors are systems (`systems.execution.push_executor`, `systems.execution.grasp_executor`,
+`systems.execution.steer_executor`); a simulated world
 reports the same statuses for pushes that it carries out at once (`world.run_loop`).
 """
 

@@ -32,7 +32,7 @@ R (1 - cos(pi/120)) = R/2900."""
 FIT_ANGLES = 48
 """Number of directions in which a body is tried on a table, over a full turn."""
 
-STRAIGHT = 1e-9
+STRAIGHT_CORNER = 1e-9
 """A corner that turns inwards makes a table concave if the cross product of its two edges is larger
 than this, m²."""
 
@@ -156,7 +156,9 @@ class SupportSurface:
         """Whether no corner turns inwards."""
         along = np.roll(self.corners, -1, axis=0) - self.corners
         after = np.roll(along, -1, axis=0)
-        return bool((along[:, 0] * after[:, 1] - along[:, 1] * after[:, 0] > -STRAIGHT).all())
+        return bool(
+            (along[:, 0] * after[:, 1] - along[:, 1] * after[:, 0] > -STRAIGHT_CORNER).all()
+        )
 
     @property
     def perimeter(self) -> float:
@@ -203,8 +205,8 @@ class SupportSurface:
         p = np.asarray(points, dtype=np.float64)
         flat = p.reshape(-1, 2)
         along = np.roll(self.corners, -1, axis=0) - self.corners
-        share = ((flat[:, None] - self.corners) * along).sum(axis=2) / self.edge_lengths**2
-        feet = self.corners + np.clip(share, 0.0, 1.0)[..., None] * along
+        fraction = ((flat[:, None] - self.corners) * along).sum(axis=2) / self.edge_lengths**2
+        feet = self.corners + np.clip(fraction, 0.0, 1.0)[..., None] * along
         distance = np.sqrt(((feet - flat[:, None]) ** 2).sum(axis=2).min(axis=1)).reshape(
             p.shape[:-1]
         )

@@ -11,9 +11,9 @@ These are worlds:
     SimulatedWorld           here: the model's own quasi-static simulator, for any number of objects
     EdgeWorld                `bench.pregrasp.world`: the same, with loads that shift at an edge
     MujocoWorld              `bench.truth.mujoco_world`: a rigid body on feet, in MuJoCo
-    PlantWorld               `bench.plant`: a body in Drake's MultibodyPlant
+    PlantWorld               `bench.worlds.plant`: a body in Drake's MultibodyPlant
     EnvironmentWorld         `gym.world`: an episode of a Gymnasium environment
-    StationWorld             `station.world`: a robot in a simulated station
+    StationWorld             `station.simulated.world`: a robot in a simulated station
 
 To write another one, derive from `TrackedWorld`, which adds the noise and the bookkeeping: what is
 left is how the objects are put down and how a push moves them. `docs/extending.md` does it. How a
@@ -42,7 +42,7 @@ from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush
 
-OBSERVATIONS = 4
+OBSERVATION_COUNT = 4
 """Default number of poses that are seen during a push after the first one; the last of them is seen
 at the push's end."""
 
@@ -52,7 +52,7 @@ FALL_CHECKS = 40
 FALLEN_TILT = np.radians(10)
 """Tilt from which a body in a world of three dimensions counts as fallen, rad."""
 
-REGIME: Regime = "quasi_static"
+WORLD_REGIME: Regime = "quasi_static"
 """Regime in which `SimulatedWorld` moves its objects."""
 
 TRAVEL_SPEED = 0.25
@@ -174,7 +174,7 @@ class PushWorld(Protocol):
 class WorldMaker(Protocol):
     """How benches make a world: a class whose constructor takes these arguments.
 
-    `bench.worlds` finds one by its name.
+    `bench.worlds.by_name` finds one by its name.
     """
 
     def __call__(
@@ -222,8 +222,8 @@ class TrackedWorld(ABC):
         position_std: float = 0.0,
         angle_std: float = 0.0,
         seed: int | np.random.Generator = 0,
-        observations: int = OBSERVATIONS,
-        looks_anew: bool = False,
+        observations: int = OBSERVATION_COUNT,
+        observes_anew: bool = False,
     ) -> None:
         """Puts the objects down.
 
@@ -233,7 +233,7 @@ class TrackedWorld(ABC):
             angle_std: standard deviation of seen angles, rad.
             seed: seed of the noise, or the generator that draws it.
             observations: number of poses that are seen during a push after the first one.
-            looks_anew: whether `observe` draws new noise every time. Otherwise it gives the pose
+            observes_anew: whether `observe` draws new noise every time. Otherwise it gives the pose
                 that was seen last, which is when the last push ended.
 
         Raises:
@@ -247,7 +247,7 @@ class TrackedWorld(ABC):
         self._std = np.array([position_std, position_std, angle_std])
         self._rng = np.random.default_rng(seed)
         self._observations = observations
-        self._looks_anew = looks_anew
+        self._observes_anew = observes_anew
         self._time = 0.0
         self._tip: Array | None = None
         self.put(pose)
@@ -328,7 +328,7 @@ class TrackedWorld(ABC):
         """Looks at the objects: q_WB with noise, m and rad; None once one has fallen."""
         if self._fallen.any():
             return None
-        if self._looks_anew:
+        if self._observes_anew:
             self._seen = self._add_noise(self._pose)
         return self._seen.copy()
 
@@ -375,7 +375,7 @@ class SimulatedWorld(TrackedWorld):
         position_std: float = 0.0,
         angle_std: float = 0.0,
         seed: int | np.random.Generator = 0,
-        observations: int = OBSERVATIONS,
+        observations: int = OBSERVATION_COUNT,
     ) -> None:
         """Puts objects down; the arguments are those of `WorldMaker` and `TrackedWorld`.
 
@@ -404,9 +404,9 @@ class SimulatedWorld(TrackedWorld):
 
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
         """Simulates a push of the objects that have not fallen, from a pose, m and rad."""
-        times = make_path_times(push, REGIME)
+        times = make_path_times(push, WORLD_REGIME)
         if pose.ndim == 1:
-            motion = simulate(self.bodies, push, pose, times=times, regime=REGIME)
+            motion = simulate(self.bodies, push, pose, times=times, regime=WORLD_REGIME)
             support = self._supports[0]
             fell = support is not None and support.falls(motion.poses)
             return WorldMotion(times=times, poses=motion.poses, fell=fell)

@@ -3,6 +3,6 @@ from .plausibility import check_plausible as check_plausible
 from .push_log import PushLog as PushLog
 from .push_log import find_shipped_log as find_shipped_log
 from .segmentation import make_observed_push as make_observed_push
-from .weighings import EdgePress as EdgePress
-from .weighings import Lift as Lift
-from .weighings import WeighingLog as WeighingLog
+from .weighings import LiftTest as LiftTest
+from .weighings import MassTestLog as MassTestLog
+from .weighings import TiltTest as TiltTest

@@ -16,7 +16,7 @@ PushLogOrFile = PushLog | str | Path
 LOG_TYPES = (PushLog, str, PathLike)
 """Types that an argument that is a `PushLogOrFile` may have."""
 
-HINTS = {
+TYPE_HINTS = {
     "GridObject": "a GridObject, such as GridObject.from_yaml reads",
     "Model": "a Model, such as Model(obj) makes of a GridObject",
     "PushLog": "a PushLog, or the name of its CSV file",
@@ -51,7 +51,7 @@ def check_types(function: str, **arguments: tuple[Any, tuple[type, ...]]) -> Non
                 f"{function}({', '.join(names)})"
             )
     first = arguments[wrong[0]][1][0]
-    expected = HINTS.get(first.__name__, f"a {first.__name__}")
+    expected = TYPE_HINTS.get(first.__name__, f"a {first.__name__}")
     raise TypeError(
         f"{function}: {found}; expected for {wrong[0]} {expected}" + _suggest(wrong[0], arguments)
     )

@@ -20,7 +20,7 @@ from gridpush_drake.files import read_text
 NO_NUMBER = "nan"
 """Text of an empty cell where pandas or NumPy wrote the file."""
 
-SEPARATORS = {";": "semicolons", "\t": "tabs"}
+COLUMN_SEPARATORS = {";": "semicolons", "\t": "tabs"}
 """What separates the columns of other programs' tables, and its name."""
 
 SUGGESTION_CUTOFF = 0.5
@@ -86,7 +86,7 @@ def _refuse_other_separators(path: Path, line: int, header: list[str]) -> None:
     """Refuses a header whose columns are separated by something else than commas."""
     if len(header) > 1:
         return
-    for separator, name in SEPARATORS.items():
+    for separator, name in COLUMN_SEPARATORS.items():
         if separator in header[0]:
             raise PushLogError(
                 f"{path}, line {line}: its columns are separated by {name}; expected commas"

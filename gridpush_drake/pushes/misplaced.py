@@ -16,30 +16,28 @@ from shapely import LineString, Point
 
 from gridpush_drake.dynamics import GRAVITY
 from gridpush_drake.geometry.se2 import transform_back
-from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.units import M_PER_MM, MM_PER_M
 
-GAP = 0.005
+MAX_TIP_GAP = 0.005
 """Distance off the outline from which on a pusher is not where the log says, m, beside
-`GAP_SHARE`."""
+`GAP_FRACTION`."""
 
-GAP_SHARE = 0.05
-"""Share of the object's diameter that is added to `GAP`."""
+GAP_FRACTION = 0.05
+"""Fraction of the object's diameter that is added to `MAX_TIP_GAP`."""
 
-MANY = 0.5
-"""Share of a log's pushes that makes the log doubtful where so many are out of place."""
+MANY_FRACTION = 0.5
+"""Fraction of a log's pushes that makes the log doubtful where so many are out of place."""
 
-FEW = 0.2
-"""Share of a log's pushes that may be out of place in units that explain the log."""
+FEW_FRACTION = 0.2
+"""Fraction of a log's pushes that may be out of place in units that explain the log."""
 
 MIN_PUSH = 1e-3
 """Shortest length of a push, at the median of a log, by which its lengths may be in millimeters,
 m."""
 
-MILLIMETER = 1e-3
-"""One millimeter, m."""
 
 IN_DEGREES = "object_theta: in degrees? expected rad"
 """What a message says of angles that are probably in degrees."""
@@ -58,12 +56,12 @@ FRAME_CAP = 0.25
 object."""
 
 FRAME_GAIN = 0.3
-"""Share of that distance that must be left where the outline is shifted, for the shift to be named
-as the likely cause."""
+"""Fraction of that distance that must be left where the outline is shifted, for the shift to be
+named as the likely cause."""
 
-MOVED_SHARE = 0.1
-"""Share of the pusher's path by which its object must move, at the mean of the cells, for the push
-to count as one that moves it."""
+MOVED_FRACTION = 0.1
+"""Fraction of the pusher's path by which its object must move, at the mean of the cells, for the
+push to count as one that moves it."""
 
 SHIFT_COST = 0.05
 """How much nearer to the outline a shift must bring the pushers, by its length."""
@@ -97,11 +95,11 @@ class _Units:
 AS_SAID = _Units(tip=1.0, place=1.0, angle=1.0, says="")
 """The units that a log should be in."""
 
-DEGREES = _Units(tip=1.0, place=1.0, angle=np.pi / 180, says=IN_DEGREES)
+DEGREE_UNITS = _Units(tip=1.0, place=1.0, angle=np.pi / 180, says=IN_DEGREES)
 """Angles in degrees."""
 
 TIP_MM = _Units(
-    tip=MILLIMETER,
+    tip=M_PER_MM,
     place=1.0,
     angle=1.0,
     says="tip_x, tip_y: in millimeters? expected m, as object_x, object_y are",
@@ -110,15 +108,15 @@ TIP_MM = _Units(
 
 PLACE_MM = _Units(
     tip=1.0,
-    place=MILLIMETER,
+    place=M_PER_MM,
     angle=1.0,
     says="object_x, object_y: in millimeters? expected m, as tip_x, tip_y are",
 )
 """Only the object in millimeters."""
 
 ALL_MM = _Units(
-    tip=MILLIMETER,
-    place=MILLIMETER,
+    tip=M_PER_MM,
+    place=M_PER_MM,
     angle=1.0,
     says="tip_x, tip_y, object_x, object_y: in millimeters? expected m",
 )
@@ -166,19 +164,19 @@ def _choose_reading(obj: GridObject, log: PushLog, wrong: float) -> _Units | Non
     Args:
         obj: the object.
         log: the pushes.
-        wrong: share of the pushers that are out of place in the log's own units.
+        wrong: fraction of the pushers that are out of place in the log's own units.
 
     Returns:
         The units; None where there are none.
     """
     poses = np.array([seen.pose for seen in log])
-    turned = (np.abs(poses[:, 2]) > 2 * np.pi).mean() >= MANY
-    if turned and _are_misplaced(obj, log, DEGREES).mean() <= wrong * FEW:
-        return DEGREES
-    if wrong < MANY:
+    turned = (np.abs(poses[:, 2]) > 2 * np.pi).mean() >= MANY_FRACTION
+    if turned and _are_misplaced(obj, log, DEGREE_UNITS).mean() <= wrong * FEW_FRACTION:
+        return DEGREE_UNITS
+    if wrong < MANY_FRACTION:
         return None
     away = (
-        np.abs(poses[:, :2]).max() > GAP
+        np.abs(poses[:, :2]).max() > MAX_TIP_GAP
     )  # where every push begins at 0, the object's places fit any unit
     length = np.median([seen.push.length for seen in log])
     readings = [
@@ -187,7 +185,8 @@ def _choose_reading(obj: GridObject, log: PushLog, wrong: float) -> _Units | Non
         if units.tip * length > MIN_PUSH
     ]
     return next(
-        (units for units in readings if _are_misplaced(obj, log, units).mean() <= FEW), None
+        (units for units in readings if _are_misplaced(obj, log, units).mean() <= FEW_FRACTION),
+        None,
     )
 
 
@@ -220,16 +219,17 @@ def find_other_body_frames(obj: GridObject, log: PushLog) -> Iterator[str]:
         return
     shift, left = _search_shift(calc_off, diameter)
     seen = (
-        f"where {len(ends)} pushes end, the pusher is {off * MM:.3g} mm off the outline on average"
+        f"where {len(ends)} pushes end, the pusher is {off * MM_PER_M:.3g} mm off the outline on "
+        "average"
     )
     if left <= FRAME_GAIN * off * (1 - len(shift) / len(ends)):  # two numbers are fitted
-        x, y = shift * MM
+        x, y = shift * MM_PER_M
         yield (
             f"object_x, object_y: of another body frame than the outline of {obj.name}, which then "
-            f"lies at ({x:.0f}, {y:.0f}) mm in it? {seen}, there {left * MM:.2g} mm"
+            f"lies at ({x:.0f}, {y:.0f}) mm in it? {seen}, there {left * MM_PER_M:.2g} mm"
         )
     # where tips slip off, they end far off and yet were at the outline when the pushes began
-    elif _are_misplaced(obj, log, AS_SAID).mean() >= FEW:
+    elif _are_misplaced(obj, log, AS_SAID).mean() >= FEW_FRACTION:
         yield (
             f"object_x, object_y, object_theta: in the frame of tip_x, tip_y, of {obj.name}, and "
             f"pusher.radius right? {seen}"
@@ -245,7 +245,7 @@ def _ends_in_contact(obj: GridObject, seen: ObservedPush) -> bool:
         return False
     cells = obj.cells_at([seen.pose, seen.final_pose])
     moved = float(np.linalg.norm(cells[1] - cells[0], axis=1).mean())
-    return moved > MOVED_SHARE * seen.push.length
+    return moved > MOVED_FRACTION * seen.push.length
 
 
 def _search_shift(
@@ -254,8 +254,8 @@ def _search_shift(
     """The shift (2,), m, of the outline at which the pushers are nearest to it, and how near, m."""
     best = np.zeros(2)
     left = np.inf
-    for share, count in FRAME_STEPS:
-        steps = share * diameter * np.arange(-count, count + 1)
+    for fraction, count in FRAME_STEPS:
+        steps = fraction * diameter * np.arange(-count, count + 1)
         tried = best + np.array([[x, y] for x in steps for y in steps])
         off = [calc_off(shift) for shift in tried]
         # of shifts that explain the pushes alike the least is the most likely
@@ -273,7 +273,7 @@ def calc_diameter(obj: GridObject) -> float:
 
 def _are_misplaced(obj: GridObject, log: PushLog, units: _Units) -> NDArray[np.bool_]:
     """Which pushes begin inside the object or pass it by."""
-    slack = GAP + GAP_SHARE * calc_diameter(obj)
+    slack = MAX_TIP_GAP + GAP_FRACTION * calc_diameter(obj)
     return np.array([max(_calc_gap(obj, seen, units)) > slack for seen in log], dtype=bool)
 
 

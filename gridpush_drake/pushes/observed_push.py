@@ -13,7 +13,8 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.notebook import MM, count, describe_move
+from gridpush_drake.notebook import count, describe_move
+from gridpush_drake.units import MM_PER_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,7 @@ class ObservedPush(Frozen):
 
     def __repr__(self) -> str:
         """Name, push and what became of the object, in a line."""
-        path = f"{self.push.length * MM:.0f} mm in {self.push.duration:.3g} s"
+        path = f"{self.push.length * MM_PER_M:.0f} mm in {self.push.duration:.3g} s"
         seen_any = len(self.t_observed) > 0
         seen = count(len(self.t_observed), "pose")
         went = ""

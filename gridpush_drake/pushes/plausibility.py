@@ -23,7 +23,6 @@ from gridpush_drake.geometry.se2 import Array, transform, transform_back, turn_r
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.misplaced import (
     IN_DEGREES,
-    MILLIMETER,
     calc_diameter,
     find_other_body_frames,
     find_units,
@@ -31,7 +30,8 @@ from gridpush_drake.pushes.misplaced import (
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_csv import LIFT_FORCE
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
+from gridpush_drake.pushes.weighings import LiftTest, MassTestLog, TiltTest
+from gridpush_drake.units import M_PER_MM
 
 TRAVEL_FACTOR = 2.0
 """Times the pusher's path that the centroid, or a point at the radius of gyration as the body
@@ -40,8 +40,8 @@ turns, may move."""
 SPEED_FACTOR = 2.0
 """Times the pusher's mean speed at which it may let go of the object."""
 
-NOISE_SHARE = 0.25
-"""Share of the object's diameter by which a pose may be off besides."""
+NOISE_FRACTION = 0.25
+"""Fraction of the object's diameter by which a pose may be off besides."""
 
 MAX_SPEED = 30.0
 """Largest mean speed of a pusher, m/s."""
@@ -86,8 +86,8 @@ FORCE_FACTOR = 20.0
 MAX_FORCE = 1e4
 """Force on an object of unknown mass that is not doubted, N."""
 
-PULLING_SHARE = 0.5
-"""Share of the pushes with forces that may do negative work before the forces are doubted."""
+PULLING_FRACTION = 0.5
+"""Fraction of the pushes with forces that may do negative work before the forces are doubted."""
 
 MIN_FORCE_STD = 1e-4
 """Standard deviation of a force below which no robot measures it, N: the weight of 10 mg."""
@@ -133,7 +133,7 @@ def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
         _report(finding, log.source, refuse=finding.about_first or learning)
 
 
-def check_plausible_weighings(obj: GridObject, log: WeighingLog) -> None:
+def check_plausible_mass_tests(obj: GridObject, log: MassTestLog) -> None:
     """Refuses weighings that cannot be true of an object, and warns of those that hardly can.
 
     Raises:
@@ -144,17 +144,19 @@ def check_plausible_weighings(obj: GridObject, log: WeighingLog) -> None:
     Warns:
         PushLogWarning: what may be true, but hardly is.
     """
-    for finding in find_implausible_weighings(obj, log):
+    for finding in find_implausible_mass_tests(obj, log):
         _report(finding, log.source, refuse=True)
 
 
 def find_implausible(obj: GridObject, log: PushLog) -> list[Finding]:
     """Finds what cannot be true of a log, or hardly, at most one finding of a kind."""
-    finders = [(partial(find, obj, log), certain, first) for find, certain, first in KINDS]
+    finders = [
+        (partial(find, obj, log), certain, first) for find, certain, first in PLAUSIBILITY_CHECKS
+    ]
     return _collect(finders, ("push", "pushes"))
 
 
-def find_implausible_weighings(obj: GridObject, log: WeighingLog) -> list[Finding]:
+def find_implausible_mass_tests(obj: GridObject, log: MassTestLog) -> list[Finding]:
     """Finds what cannot be true of weighings, or hardly, at most one finding of a kind."""
     finders = [(partial(find, obj, log), certain, True) for find, certain in WEIGHING_KINDS]
     return _collect(finders, ("weighing", "weighings"))
@@ -293,7 +295,7 @@ def _find_pulling_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
     """Forces against the pusher's motion: those on the pusher, or of another frame."""
     work = {seen.name: _calc_work(seen) for seen in log if seen.force is not None}
     pulling = [name for name, value in work.items() if value < 0]
-    if len(pulling) > PULLING_SHARE * len(work):
+    if len(pulling) > PULLING_FRACTION * len(work):
         for name in pulling:
             yield (
                 f"push {name!r}, columns force_x, force_y: pull the object against the pusher's "
@@ -391,7 +393,7 @@ def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
         # The column that moves most is named; what fits once it is divided by 1,000 is probably mm.
         column = ("object_x", "object_y")[int(np.argmax(np.abs(moved[k])))]
         cause = (
-            "in millimeters, or a lost track?" if far[k] * MILLIMETER < allowed else "a lost track?"
+            "in millimeters, or a lost track?" if far[k] * M_PER_MM < allowed else "a lost track?"
         )
         yield (
             f"push {seen.name!r}, column {column}: the object moves {far[k]:.3g} m by t = "
@@ -416,7 +418,7 @@ def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
         )
 
 
-def _find_large_objects(obj: GridObject, log: PushLog | WeighingLog) -> Iterator[str]:
+def _find_large_objects(obj: GridObject, log: PushLog | MassTestLog) -> Iterator[str]:
     """Finds an outline that is larger than any object that is pushed about."""
     if calc_diameter(obj) > MAX_DIAMETER:
         yield (
@@ -443,7 +445,7 @@ def _find_large_tables(obj: GridObject, log: PushLog) -> Iterator[str]:
         )
 
 
-def _name_weighings(log: WeighingLog) -> Iterator[tuple[str, EdgePress | Lift]]:
+def _name_mass_tests(log: MassTestLog) -> Iterator[tuple[str, TiltTest | LiftTest]]:
     """Names each weighing by its kind and its number among those of its kind, from 1."""
     for i, press in enumerate(log.presses, start=1):
         yield f"press {i}", press
@@ -451,11 +453,11 @@ def _name_weighings(log: WeighingLog) -> Iterator[tuple[str, EdgePress | Lift]]:
         yield f"lift {i}", lift
 
 
-def _find_misplaced_weighings(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+def _find_misplaced_mass_tests(obj: GridObject, log: MassTestLog) -> Iterator[str]:
     """Finds weighings whose tip or pads were not at the object."""
-    for name, weighing in _name_weighings(log):
+    for name, weighing in _name_mass_tests(log):
         off = _calc_off_outline(obj, weighing.pose, weighing.place)
-        if off <= NOISE_SHARE * calc_diameter(obj):
+        if off <= NOISE_FRACTION * calc_diameter(obj):
             continue
         yield (
             f"{name}, columns place_x, place_y: are {off:.3g} m off the outline of {obj.name} at "
@@ -469,7 +471,7 @@ def _calc_off_outline(obj: GridObject, pose: Array, place: Array) -> float:
     return float(obj.outline.convex_hull.distance(Point(transform_back(pose, place))))
 
 
-def _find_presses_of_fallen(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+def _find_presses_of_fallen(obj: GridObject, log: MassTestLog) -> Iterator[str]:
     """Finds presses of an object no part of which lies inside the table's edge."""
     for i, press in enumerate(log.presses, start=1):
         if _calc_reach_inside(obj, press) <= 0:
@@ -480,17 +482,17 @@ def _find_presses_of_fallen(obj: GridObject, log: WeighingLog) -> Iterator[str]:
             )
 
 
-def _calc_reach_inside(obj: GridObject, press: EdgePress) -> float:
+def _calc_reach_inside(obj: GridObject, press: TiltTest) -> float:
     """Distance of the object's innermost point from the edge, m; negative beyond the edge."""
     corners = transform(press.pose, shapely.get_coordinates(obj.outline.convex_hull))
     return float(((press.edge_point - corners) @ press.normal).max())
 
 
-def _find_heavy_weighings(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+def _find_heavy_mass_tests(obj: GridObject, log: MassTestLog) -> Iterator[str]:
     """Finds forces that only an object heavier than any of its size takes to tilt or to lift."""
     limit = _calc_max_mass(obj)
-    for name, weighing in _name_weighings(log):
-        if isinstance(weighing, EdgePress):
+    for name, weighing in _name_mass_tests(log):
+        if isinstance(weighing, TiltTest):
             # F a = m g b, and b is at most the reach of the object inside the edge.
             force = weighing.force
             mass = force * weighing.arm / (_calc_reach_inside(obj, weighing) * GRAVITY)
@@ -505,7 +507,7 @@ def _find_heavy_weighings(obj: GridObject, log: WeighingLog) -> Iterator[str]:
             )
 
 
-def _find_long_levers(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+def _find_long_levers(obj: GridObject, log: MassTestLog) -> Iterator[str]:
     """Finds torques of lifts by which the center of mass is off the object."""
     for i, lift in enumerate(log.lifts, start=1):
         if lift.torque is None:
@@ -514,7 +516,7 @@ def _find_long_levers(obj: GridObject, log: WeighingLog) -> Iterator[str]:
         at = lift.place + turn_right(lift.torque) / lift.weight
         off = _calc_off_outline(obj, lift.pose, at)
         error = TORQUE_SIGMAS * lift.torque_std / lift.weight
-        if off > NOISE_SHARE * calc_diameter(obj) + error:
+        if off > NOISE_FRACTION * calc_diameter(obj) + error:
             yield (
                 f"lift {i}, columns torque_x, torque_y: put the center of mass {off:.3g} m off the "
                 f"outline of {obj.name}: in N m, about the middle between the pads, and without "
@@ -522,10 +524,10 @@ def _find_long_levers(obj: GridObject, log: WeighingLog) -> Iterator[str]:
             )
 
 
-def _find_small_stds(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+def _find_small_stds(obj: GridObject, log: MassTestLog) -> Iterator[str]:
     """Finds standard deviations that are smaller than those of any sensor."""
-    for name, weighing in _name_weighings(log):
-        if isinstance(weighing, EdgePress):
+    for name, weighing in _name_mass_tests(log):
+        if isinstance(weighing, TiltTest):
             stds = [("force_std", weighing.force_std, MIN_FORCE_STD, "N")]
         else:
             stds = [("force_std", weighing.weight_std, MIN_FORCE_STD, "N")]
@@ -539,12 +541,12 @@ def _find_small_stds(obj: GridObject, log: WeighingLog) -> Iterator[str]:
                 )
 
 
-def _find_large_weighing_angles(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+def _find_large_test_angles(obj: GridObject, log: MassTestLog) -> Iterator[str]:
     """Finds weighings with angles of many turns: degrees, perhaps."""
-    for name, weighing in _name_weighings(log):
+    for name, weighing in _name_mass_tests(log):
         if abs(weighing.pose[2]) > MAX_FIRST_ANGLE:
             yield f"{name}, column {IN_DEGREES}; the object lies at {weighing.pose[2]:.4g}"
-        if isinstance(weighing, EdgePress) and abs(weighing.edge_angle) > MAX_FIRST_ANGLE:
+        if isinstance(weighing, TiltTest) and abs(weighing.edge_angle) > MAX_FIRST_ANGLE:
             yield (
                 f"{name}, column edge_angle: in degrees? expected rad; it is "
                 f"{weighing.edge_angle:.4g}"
@@ -553,16 +555,16 @@ def _find_large_weighing_angles(obj: GridObject, log: WeighingLog) -> Iterator[s
 
 WEIGHING_KINDS = (
     (_find_large_objects, True),
-    (_find_misplaced_weighings, True),
+    (_find_misplaced_mass_tests, True),
     (_find_presses_of_fallen, True),
-    (_find_heavy_weighings, True),
+    (_find_heavy_mass_tests, True),
     (_find_long_levers, True),
     (_find_small_stds, True),
-    (_find_large_weighing_angles, False),
+    (_find_large_test_angles, False),
 )
 """What finds what is wrong with weighings, and whether it is certain."""
 
-KINDS = (
+PLAUSIBILITY_CHECKS = (
     (find_units, True, True),
     (_find_fast_pushers, True, True),
     (_find_begun_off_table, True, True),
@@ -584,4 +586,4 @@ def _calc_reach(obj: GridObject, seen: ObservedPush) -> float:
     """Farthest that a push can move the object's centroid, m."""
     speed = SPEED_FACTOR * seen.push.length / seen.push.duration
     slide = speed**2 / (2 * obj.prior.friction_min * GRAVITY)
-    return TRAVEL_FACTOR * seen.push.length + slide + NOISE_SHARE * calc_diameter(obj)
+    return TRAVEL_FACTOR * seen.push.length + slide + NOISE_FRACTION * calc_diameter(obj)

@@ -15,13 +15,14 @@ import numpy as np
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.segmentation import (
-    Episode,
     RecordOptions,
     Sample,
     SegmenterOptions,
+    TipMotion,
     find_episodes,
     trim_path,
 )
+from gridpush_drake.units import MS_PER_S
 
 MAX_DELAY = 0.3
 """Largest delay that is looked for, s."""
@@ -29,38 +30,36 @@ MAX_DELAY = 0.3
 DELAY_STEP = 0.002
 """Distance between the delays that are tried before the best one is refined, s."""
 
-LAST_SHARE = 0.2
-"""Share of a push's path, at its end, on which the object's pose is taken for a parabola of the
+LAST_FRACTION = 0.2
+"""Fraction of a push's path, at its end, on which the object's pose is taken for a parabola of the
 path."""
 
-REST = 0.5
+REST_TIME = 0.5
 """Length of time after the tip's stop, and the delay, whose poses at rest are used, s."""
 
 MIN_MOVING = 6
-"""Fewest poses on the last share of a path from which a push's delay is found."""
+"""Fewest poses on the last fraction of a path from which a push's delay is found."""
 
-MAX_LAST_SHARE = 0.6
-"""Largest share of a path that is taken, where poses are so rare that `MIN_MOVING` of them need
+MAX_LAST_FRACTION = 0.6
+"""Largest fraction of a path that is taken, where poses are so rare that `MIN_MOVING` of them need
 more than the last share."""
 
 MIN_MOTION = 0.002
-"""Least motion of the object on the last share of the path by which its stop can be seen, m."""
+"""Least motion of the object on the last fraction of the path by which its stop can be seen, m."""
 
-ROUNDS = 8
+MAX_ROUNDS = 8
 """Most rounds of choosing poses by the delay found so far."""
 
-CONVERGED = 1e-4
+CONVERGED_CHANGE = 1e-4
 """Change of the delay from one round to the next below which it is found, s."""
 
 MIN_TELLING = 0.005
 """Delay, and difference from a delay that was told, below which nothing is said of it, s."""
 
-SURE = 2.0
+DELAY_SIGMAS = 2.0
 """Number of standard deviations from which on a delay is told apart from none, or from the one that
 was told."""
 
-MS = 1e3
-"""Milliseconds in a second."""
 
 MAD_TO_STD = 1.4826
 """Ratio of the standard deviation of normal numbers to their median absolute deviation."""
@@ -68,7 +67,7 @@ MAD_TO_STD = 1.4826
 MEDIAN_VARIANCE = math.pi / 2
 """Ratio of the variance of a median of normal numbers to that of their mean."""
 
-PARAMETERS = 10
+FIT_PARAMETERS = 10
 """Number of parameters of one push's fit: q_end, b and c of three coordinates, and the delay."""
 
 
@@ -86,9 +85,9 @@ class Delay:
     std: float
     pushes: int
 
-    def differs_from(self, told: float) -> bool:
+    def differs_from(self, given: float) -> bool:
         """Whether it contradicts a delay that was told, s."""
-        return abs(self.value - told) > max(MIN_TELLING, SURE * self.std)
+        return abs(self.value - given) > max(MIN_TELLING, DELAY_SIGMAS * self.std)
 
 
 @dataclass(frozen=True)
@@ -98,37 +97,40 @@ class ChosenDelay:
     Attributes:
         value: the delay, s.
         found: what the pushes say; None where they do not tell.
-        told_by: who said it: "--pose-delay", for instance; empty where nobody did, and `value` is
+        given_by: who said it: "--pose-delay", for instance; empty where nobody did, and `value` is
             what was found, or 0 where that is not told apart from none.
     """
 
     value: float
     found: Delay | None
-    told_by: str = ""
+    given_by: str = ""
 
     @property
     def is_contradicted(self) -> bool:
         """Whether the pushes say another delay than was told."""
-        return bool(self.told_by) and self.found is not None and self.found.differs_from(self.value)
+        return (
+            bool(self.given_by) and self.found is not None and self.found.differs_from(self.value)
+        )
 
     def describe(self) -> str:
         """Says in a sentence what the delay is, how well it is known and what was done about it."""
-        applied = f"{self.value * MS:.0f} ms"
+        applied = f"{self.value * MS_PER_S:.0f} ms"
         if self.found is None:
             why = "the pushes do not tell it"
             return (
-                f"The object's poses are taken to be {applied} late, as {self.told_by} says; {why}."
-                if self.told_by
+                f"The object's poses are taken to be {applied} late, as {self.given_by} says; "
+                f"{why}."
+                if self.given_by
                 else f"The object's poses are taken to be on time; {why}."
             )
         found = (
-            f"{self.found.value * MS:.0f} ± {self.found.std * MS:.0f} ms late, "
+            f"{self.found.value * MS_PER_S:.0f} ± {self.found.std * MS_PER_S:.0f} ms late, "
             f"by {self.found.pushes} pushes"
         )
-        if self.told_by:
+        if self.given_by:
             relation = "but they are" if self.is_contradicted else "and they are"
             return (
-                f"The object's poses are taken to be {applied} late, as {self.told_by} says, "
+                f"The object's poses are taken to be {applied} late, as {self.given_by} says, "
                 f"{relation} {found}."
             )
         if self.value == self.found.value:
@@ -141,8 +143,8 @@ def choose_delay(
     obj: GridObject,
     segmenter: SegmenterOptions | None = None,
     record: RecordOptions | None = None,
-    told: float | None = None,
-    told_by: str = "",
+    given: float | None = None,
+    given_by: str = "",
     otherwise: float = 0.0,
 ) -> ChosenDelay:
     """Chooses the delay with which a stream is written down: what was told, or else what is found.
@@ -152,8 +154,8 @@ def choose_delay(
         obj: the object.
         segmenter: when a push begins and ends.
         record: how a push is written down.
-        told: the delay as somebody says it, s; None where nobody does.
-        told_by: who says it; an option's or a column's name.
+        given: the delay as somebody says it, s; None where nobody does.
+        given_by: who says it; an option's or a column's name.
         otherwise: the delay that is taken where nobody says one, and the pushes do not tell it
             apart from this one, s.
 
@@ -161,15 +163,15 @@ def choose_delay(
         The delay, and where it is from.
     """
     episodes = list(find_episodes(samples, segmenter or SegmenterOptions()))
-    return choose_episodes_delay(episodes, obj, record, told, told_by, otherwise)
+    return choose_episodes_delay(episodes, obj, record, given, given_by, otherwise)
 
 
 def choose_episodes_delay(
-    episodes: Sequence[Episode],
+    episodes: Sequence[TipMotion],
     obj: GridObject,
     record: RecordOptions | None = None,
-    told: float | None = None,
-    told_by: str = "",
+    given: float | None = None,
+    given_by: str = "",
     otherwise: float = 0.0,
 ) -> ChosenDelay:
     """Chooses the delay as `choose_delay` does, for motions that are already cut out of a stream.
@@ -178,14 +180,14 @@ def choose_episodes_delay(
         episodes: the motions of the tip.
         obj: the object.
         record: how a push is written down.
-        told: the delay as somebody says it, s; None where nobody does.
-        told_by: who does.
+        given: the delay as somebody says it, s; None where nobody does.
+        given_by: who does.
         otherwise: the delay that is taken where nobody says one, and the pushes do not tell it
             apart from this one, s.
     """
     found = estimate_episodes_delay(episodes, obj, record)
-    if told is not None:
-        return ChosenDelay(told, found, told_by)
+    if given is not None:
+        return ChosenDelay(given, found, given_by)
     if found is not None and found.differs_from(otherwise):
         return ChosenDelay(found.value, found)
     return ChosenDelay(otherwise, found)
@@ -239,7 +241,7 @@ def estimate_delay(
 
 
 def estimate_episodes_delay(
-    episodes: Iterable[Episode], obj: GridObject, record: RecordOptions | None = None
+    episodes: Iterable[TipMotion], obj: GridObject, record: RecordOptions | None = None
 ) -> Delay | None:
     """Estimates the delay as `estimate_delay` does, for motions that are already cut out."""
     record = record or RecordOptions()
@@ -249,14 +251,14 @@ def estimate_episodes_delay(
         if (end := _cut_end(episode, obj.radius_of_gyration, record)) is not None
     ]
     delay = 0.0
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         fits = [fit for end in ends if (fit := _fit_delay(end, delay)) is not None]
         if not fits:
             return None
         found = np.array([value for value, _ in fits])
         before = delay
         delay = float(np.median(found))
-        if abs(delay - before) < CONVERGED:
+        if abs(delay - before) < CONVERGED_CHANGE:
             break
     # Pushes may differ by less than each of them is uncertain, where they are few.
     spread = MAD_TO_STD * float(np.median(np.abs(found - delay)))
@@ -264,7 +266,7 @@ def estimate_episodes_delay(
     return Delay(delay, spread * math.sqrt(MEDIAN_VARIANCE / len(found)), len(found))
 
 
-def _cut_end(episode: Episode, rho: float, record: RecordOptions) -> _LastPart | None:
+def _cut_end(episode: TipMotion, rho: float, record: RecordOptions) -> _LastPart | None:
     """Takes a push's tip path, and the poses seen from its beginning on.
 
     Args:
@@ -304,15 +306,15 @@ def _fit_delay(end: _LastPart, around: float) -> tuple[float, float] | None:
     Returns:
         The delay and its standard deviation, s; None where there is too little to see.
     """
-    # The part begins at the last share of the path, or earlier where poses are rare.
+    # The part begins at the last fraction of the path, or earlier where poses are rare.
     stop = float(end.t[-1])
     way = end.traveled[-1]
-    usual = float(np.interp((1 - LAST_SHARE) * way, end.traveled, end.t))
-    earliest = float(np.interp((1 - MAX_LAST_SHARE) * way, end.traveled, end.t))
+    usual = float(np.interp((1 - LAST_FRACTION) * way, end.traveled, end.t))
+    earliest = float(np.interp((1 - MAX_LAST_FRACTION) * way, end.traveled, end.t))
     before = end.t_seen[end.t_seen < stop + around] - around
     needed = float(before[-MIN_MOVING:].min(initial=usual))
     begin = max(earliest, min(usual, needed))
-    chosen = (end.t_seen >= begin + around) & (end.t_seen <= stop + around + REST)
+    chosen = (end.t_seen >= begin + around) & (end.t_seen <= stop + around + REST_TIME)
     moving = int((chosen & (end.t_seen < stop + around)).sum())
     resting = int(chosen.sum()) - moving
     if moving < MIN_MOVING or resting < 2:
@@ -332,7 +334,7 @@ def _fit_delay(end: _LastPart, around: float) -> tuple[float, float] | None:
         factors = np.asarray(np.linalg.lstsq(basis, seen, rcond=None)[0], dtype=np.float64)
         return float(((seen - basis @ factors) ** 2).sum())
 
-    reach = min(MAX_DELAY, stop - begin + REST / 2)
+    reach = min(MAX_DELAY, stop - begin + REST_TIME / 2)
     tried = around + np.arange(-reach, reach + DELAY_STEP, DELAY_STEP)
     misfits = np.array([calc_misfit(float(delay)) for delay in tried])
     k = int(np.argmin(misfits))
@@ -345,5 +347,5 @@ def _fit_delay(end: _LastPart, around: float) -> tuple[float, float] | None:
     if not curvature > 0:
         return None
     value = float(tried[k] + DELAY_STEP * (low - high) / (2 * curvature))
-    variance = middle / max(seen.size - PARAMETERS, 1)
+    variance = middle / max(seen.size - FIT_PARAMETERS, 1)
     return value, DELAY_STEP * math.sqrt(2 * variance / curvature)

@@ -45,7 +45,7 @@ from gridpush_drake.pushes.csv_table import (
 )
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 
-TIP = ("tip_x", "tip_y")
+TIP_COLUMNS = ("tip_x", "tip_y")
 """Columns of the tip's center."""
 
 OBJECT = "object"
@@ -60,40 +60,40 @@ def list_pose_columns(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{name}_{axis}" for name in names for axis in AXES)
 
 
-POSE = list_pose_columns([OBJECT])
+POSE_COLUMNS = list_pose_columns([OBJECT])
 """Columns of the pose of an object without a name."""
 
-FORCE = ("force_x", "force_y")
+FORCE_COLUMNS = ("force_x", "force_y")
 """Columns of the force on the object."""
 
 LIFT_FORCE = "force_z"
 """Column of its upward part. A push has it in all rows that have the others, or in none."""
 
-PATH = ("push", "t", *TIP)
+PATH = ("push", "t", *TIP_COLUMNS)
 """Columns that every file has, besides those of poses."""
 
-REQUIRED = (*PATH, *POSE)
+REQUIRED_COLUMNS = (*PATH, *POSE_COLUMNS)
 """Columns that the file of an object without a name has."""
 
-OVERHANG = "overhang"
+OVERHANG_COLUMN = "overhang"
 """Column that says whether a part of the object hung over the table's edge."""
 
-TABLE = "table"
+TABLE_COLUMN = "table"
 """Column of the table's top."""
 
-KNOWN = (*FORCE, LIFT_FORCE, OVERHANG, TABLE)
+KNOWN = (*FORCE_COLUMNS, LIFT_FORCE, OVERHANG_COLUMN, TABLE_COLUMN)
 """Columns of what may be known besides."""
 
-COLUMNS = (*REQUIRED, *KNOWN)
+PUSH_COLUMNS = (*REQUIRED_COLUMNS, *KNOWN)
 """All columns that are read of an object without a name."""
 
-FLAGS = {"0": False, "1": True, "0.0": False, "1.0": True}
+FLAG_TEXTS = {"0": False, "1": True, "0.0": False, "1.0": True}
 """Texts that say no or yes in a column; pandas writes numbers of such a column with points."""
 
-WHAT = "a push log (CSV)"
+EXPECTED_LOG = "a push log (CSV)"
 """The expected form of a file, for messages."""
 
-UNITS = {"t": "s", "force_x": "N", "force_y": "N", LIFT_FORCE: "N"}
+COLUMN_UNITS = {"t": "s", "force_x": "N", "force_y": "N", LIFT_FORCE: "N"}
 """Unit of each column; m where not listed, but rad of angles."""
 
 MAX_ROWS = 50_000
@@ -167,7 +167,7 @@ def read_pushes(
 
     read = (
         _parse_row(path, line, cells, list_pose_columns(names))
-        for line, cells in read_table(path, WHAT, REQUIRED, check_header)
+        for line, cells in read_table(path, EXPECTED_LOG, REQUIRED_COLUMNS, check_header)
     )
     for _, group in groupby(read, lambda row: row.push):
         # One row more than allowed shows that there are too many; no more are read.
@@ -190,7 +190,7 @@ def read_pushes(
         )
     if not pushes:
         raise PushLogError(
-            f"{path}: holds no push; expected rows below the header {','.join(REQUIRED)}"
+            f"{path}: holds no push; expected rows below the header {','.join(REQUIRED_COLUMNS)}"
         )
     return tuple(pushes), table, tuple(names)
 
@@ -243,7 +243,12 @@ def _find_table(path: Path, rows: list[_Row], table: Array | None) -> Array | No
         if row.table is None:
             continue
         if table is not None and not np.array_equal(row.table, table):
-            fail(path, row.line, TABLE, "is another one than before; expected one table in a log")
+            fail(
+                path,
+                row.line,
+                TABLE_COLUMN,
+                "is another one than before; expected one table in a log",
+            )
         table = row.table
     return table
 
@@ -277,7 +282,7 @@ def _find_names(header: list[str]) -> list[str]:
 def _check_header(path: Path, line: int, header: list[str], names: list[str]) -> None:
     """Refuses a header without a column that is needed, or with one twice or misspelled."""
     required = (*PATH, *list_pose_columns(names))
-    further = f"{','.join(FORCE)}, {LIFT_FORCE}, {OVERHANG} and {TABLE}"
+    further = f"{','.join(FORCE_COLUMNS)}, {LIFT_FORCE}, {OVERHANG_COLUMN} and {TABLE_COLUMN}"
     form = f"expected comma-separated {','.join(required)} and, if known, {further}"
     twice = next((name for name in header if header.count(name) > 1), None)
     if twice is not None:
@@ -288,12 +293,17 @@ def _check_header(path: Path, line: int, header: list[str], names: list[str]) ->
         close = close or difflib.get_close_matches(name, unknown, 1, SUGGESTION_CUTOFF)
         hint = f"; rename {close[0]!r} to {name!r}?" if close else ""
         fail(path, line, name, f"is missing{hint}; {form}")
-    missing = [name for name in FORCE if name not in header]
+    missing = [name for name in FORCE_COLUMNS if name not in header]
     # The upward force alone tells nothing.
     used = (*required, *(name for name in KNOWN if not (missing and name == LIFT_FORCE)))
     refuse_misspelled(path, line, header, used, form)
     if len(missing) == 1:
-        fail(path, line, missing[0], f"is missing; the columns {' and '.join(FORCE)} come together")
+        fail(
+            path,
+            line,
+            missing[0],
+            f"is missing; the columns {' and '.join(FORCE_COLUMNS)} come together",
+        )
     warn_of_further(path, header, used)
 
 
@@ -303,21 +313,21 @@ def _parse_row(path: Path, line: int, cells: dict[str, str], pose_columns: tuple
     if not name:
         fail(path, line, "push", "is empty; expected the push's name, on each of its rows")
     pose = _read_group(path, line, cells, pose_columns)
-    force = _read_group(path, line, cells, FORCE)
-    upward = _read_group(path, line, cells, (LIFT_FORCE,)) if FORCE[0] in cells else None
+    force = _read_group(path, line, cells, FORCE_COLUMNS)
+    upward = _read_group(path, line, cells, (LIFT_FORCE,)) if FORCE_COLUMNS[0] in cells else None
     if upward is not None and force is None:
         fail(
             path,
             line,
             LIFT_FORCE,
-            f"is {upward[0]:g}, but {' and '.join(FORCE)} are empty; expected all or none",
+            f"is {upward[0]:g}, but {' and '.join(FORCE_COLUMNS)} are empty; expected all or none",
         )
-    tip = [_read_number(path, line, column, cells[column]) for column in TIP]
-    flag = cells.get(OVERHANG, "").strip()
-    hangs_over = False if is_empty(flag) else FLAGS.get(flag)
+    tip = [_read_number(path, line, column, cells[column]) for column in TIP_COLUMNS]
+    flag = cells.get(OVERHANG_COLUMN, "").strip()
+    hangs_over = False if is_empty(flag) else FLAG_TEXTS.get(flag)
     if hangs_over is None:
-        fail(path, line, OVERHANG, f"is {flag[:MAX_SHOWN]!r}; expected 0 or 1, or empty")
-    table = _read_table_top(path, line, cells.get(TABLE, "").strip())
+        fail(path, line, OVERHANG_COLUMN, f"is {flag[:MAX_SHOWN]!r}; expected 0 or 1, or empty")
+    table = _read_table_top(path, line, cells.get(TABLE_COLUMN, "").strip())
     return _Row(
         line=line,
         push=name,
@@ -356,7 +366,7 @@ def _read_table_top(path: Path, line: int, cell: str) -> Array | None:
             "expected POLYGON ((x y, x y, ..., x y)) in m "
             "that ends where it begins and does not cross itself, no hole"
         )
-        fail(path, line, TABLE, f"is {cell[:MAX_SHOWN]!r}; {form}")
+        fail(path, line, TABLE_COLUMN, f"is {cell[:MAX_SHOWN]!r}; {form}")
     return np.asarray(orient(polygon).exterior.coords)[:-1, :2]
 
 
@@ -366,7 +376,7 @@ def _read_number(
     """Reads a cell's number; a message tells its unit, and which columns may be empty together."""
     value = parse_number(cell)
     if value is None:
-        unit = UNITS.get(column, "rad" if column.endswith(f"_{AXES[-1]}") else "m")
+        unit = COLUMN_UNITS.get(column, "rad" if column.endswith(f"_{AXES[-1]}") else "m")
         form = f"a finite number ({unit})"
         if together:
             form += f", or {', '.join(together)} empty"
@@ -419,7 +429,7 @@ def _make_push(
             lacking.line,
             LIFT_FORCE,
             f"is empty; expected a number (N) in all rows of push {first.push!r} that have "
-            f"{' and '.join(FORCE)}, or in none",
+            f"{' and '.join(FORCE_COLUMNS)}, or in none",
         )
     shape = (3,) if len(names) == 1 else (len(names), 3)
     return ObservedPush(
@@ -466,16 +476,18 @@ def write_pushes(
             )
     forces: tuple[str, ...] = ()
     if any(seen.force is not None for seen in pushes):
-        forces = FORCE
+        forces = FORCE_COLUMNS
     if any(seen.lift_force is not None for seen in pushes):
-        forces = (*FORCE, LIFT_FORCE)
+        forces = (*FORCE_COLUMNS, LIFT_FORCE)
     with_overhang = any(seen.overhang for seen in pushes)
 
     # Columns of which nothing is known are left out.
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     more = [
-        name for name, there in ((OVERHANG, with_overhang), (TABLE, table is not None)) if there
+        name
+        for name, there in ((OVERHANG_COLUMN, with_overhang), (TABLE_COLUMN, table is not None))
+        if there
     ]
     writer.writerow([*PATH, *list_pose_columns(names), *forces, *more])
     # The table stands in the first row, and nowhere else.

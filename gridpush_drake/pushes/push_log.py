@@ -18,10 +18,11 @@ from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.notebook import MM, count, describe_move, make_page, make_table
+from gridpush_drake.notebook import count, describe_move, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.observed_push import ObservedPush as ObservedPush
 from gridpush_drake.pushes.push_csv import OBJECT, read_pushes, write_pushes
+from gridpush_drake.units import MM_PER_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +119,7 @@ class PushLog(Frozen):
         rows = [
             (
                 seen.name,
-                f"{seen.push.length * MM:.0f}",
+                f"{seen.push.length * MM_PER_M:.0f}",
                 f"{seen.push.duration:.3g}",
                 len(seen.t_observed),
                 _describe_moves(seen),

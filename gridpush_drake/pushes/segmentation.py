@@ -92,7 +92,7 @@ class SegmenterOptions:
 
 
 @dataclass(frozen=True)
-class Episode:
+class TipMotion:
     """A motion of the tip that may be a push.
 
     Attributes:
@@ -127,7 +127,7 @@ class SegmenterState:
 
 def advance(
     state: SegmenterState, sample: Sample, options: SegmenterOptions
-) -> tuple[SegmenterState, Episode | None]:
+) -> tuple[SegmenterState, TipMotion | None]:
     """Takes in one sample, which is later than all before.
 
     Args:
@@ -157,7 +157,7 @@ def advance(
     lifted = state.lifted or sample.tip[2] > lift_height
     stopped_for = sample.t - state.after[0].t if state.after else 0.0
     if moving and (state.lifted or (not lifted and stopped_for >= options.pause)):
-        return _begin(state.after, sample), Episode(state.rest, state.path, state.after)
+        return _begin(state.after, sample), TipMotion(state.rest, state.path, state.after)
     if moving and not lifted:
         return replace(_go_on(state, sample), after=()), None
 
@@ -165,7 +165,7 @@ def advance(
     state = state if lifted else _go_on(state, sample)
     state = replace(state, lifted=lifted, after=(*state.after, sample))
     if stopped_for >= (options.settle_lifted if lifted else options.settle):
-        return SegmenterState(rest=state.after), Episode(state.rest, state.path, state.after)
+        return SegmenterState(rest=state.after), TipMotion(state.rest, state.path, state.after)
     return state, None
 
 
@@ -195,7 +195,7 @@ def _go_on(state: SegmenterState, sample: Sample) -> SegmenterState:
     return replace(state, path=(*state.path, sample), lowest=min(state.lowest, sample.tip[2]))
 
 
-def find_episodes(samples: Iterable[Sample], options: SegmenterOptions) -> Iterator[Episode]:
+def find_episodes(samples: Iterable[Sample], options: SegmenterOptions) -> Iterator[TipMotion]:
     """Finds the motions of the tip in a stream that may be pushes, one after another.
 
     A motion that the stream's end cuts short is not among them.
@@ -210,10 +210,10 @@ def find_episodes(samples: Iterable[Sample], options: SegmenterOptions) -> Itera
 SAME_TIME = 1e-6
 """Difference below which two times are one, s."""
 
-UNUSABLE = (GridPushError, np.linalg.LinAlgError, ArithmeticError, ValueError)
+UNUSABLE_ERRORS = (GridPushError, np.linalg.LinAlgError, ArithmeticError, ValueError)
 """Errors to which a push that was badly seen may lead when it is written down or learned from."""
 
-LATEST = 5
+LATEST_OBSERVATIONS = 5
 """Number of observations at the end whose median tells where the object rests."""
 
 
@@ -254,7 +254,7 @@ def name_push(count: int) -> str:
 
 
 def make_observed_push(
-    episode: Episode, obj: GridObject, radius: float, name: str, options: RecordOptions
+    episode: TipMotion, obj: GridObject, radius: float, name: str, options: RecordOptions
 ) -> ObservedPush | None:
     """Makes a push log's entry.
 
@@ -323,7 +323,7 @@ def _take_known_times(times: Array, known: Array) -> Array:
     return np.where(np.abs(nearest - times) < MIN_TIME_STEP, nearest, times)
 
 
-def _read_force(episode: Episode, begin: float, end: float) -> tuple[Array | None, Array | None]:
+def _read_force(episode: TipMotion, begin: float, end: float) -> tuple[Array | None, Array | None]:
     """Reads the force on the object while the tip moved, without the offset of what measures it.
 
     The offset is the mean of what was felt before the push with the tip lifted, so that it touched
@@ -360,7 +360,7 @@ def _read_force(episode: Episode, begin: float, end: float) -> tuple[Array | Non
     return np.array([t[group].mean() for group in groups]), means
 
 
-def find_begin(episode: Episode, options: RecordOptions) -> float:
+def find_begin(episode: TipMotion, options: RecordOptions) -> float:
     """Finds the time in the stream at which an episode's push begins, s."""
     return float(trim_path(episode.path, options.still)[0][0])
 
@@ -383,13 +383,15 @@ def calc_rest_pose(
     # Angles may differ by whole turns.
     theta = poses[-1, 2]
     poses[:, 2] = theta + wrap_angle(poses[:, 2] - theta)
-    off = poses - np.median(poses[-LATEST:], axis=0)
+    off = poses - np.median(poses[-LATEST_OBSERVATIONS:], axis=0)
     good = np.hypot(off[:, 0], off[:, 1]) <= options.rest_tolerance
     good &= np.abs(off[:, 2]) <= options.rest_angle_tolerance
     elsewhere = np.flatnonzero(~(good[:-1] | good[1:]))
     if len(elsewhere):
         good[: elsewhere[-1] + 1] = False
-    return poses[good].mean(axis=0) if good.any() else np.median(poses[-LATEST:], axis=0)
+    return (
+        poses[good].mean(axis=0) if good.any() else np.median(poses[-LATEST_OBSERVATIONS:], axis=0)
+    )
 
 
 def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array, Array]:
@@ -416,8 +418,8 @@ def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array
         first, last = pending.pop()
         if last - first < 2:
             continue
-        share = (times[first + 1 : last] - times[first]) / (times[last] - times[first])
-        straight = places[first] + share[:, None] * (places[last] - places[first])
+        fraction = (times[first + 1 : last] - times[first]) / (times[last] - times[first])
+        straight = places[first] + fraction[:, None] * (places[last] - places[first])
         error = np.linalg.norm(places[first + 1 : last] - straight, axis=1)
         if error.max() > tolerance:
             middle = first + 1 + int(np.argmax(error))
@@ -461,7 +463,7 @@ def find_motion(xy: Array, still: float) -> slice | None:
     return slice(max(int(moved[0]) - 1, 0), int(moving[-1]) + 2)
 
 
-def _add_coast(episode: Episode, t: Array, xy: Array, coast: float) -> tuple[Array, Array]:
+def _add_coast(episode: TipMotion, t: Array, xy: Array, coast: float) -> tuple[Array, Array]:
     """Lets the tip stand at its path's end for as long as the object may slide on.
 
     Args:
@@ -488,7 +490,7 @@ def _choose_observations(
     options: RecordOptions,
     up_to_end: bool,
 ) -> list[tuple[float, Array]]:
-    """Chooses the observations nearest to even shares of the tip's path.
+    """Chooses the observations nearest to even fractions of the tip's path.
 
     Args:
         path: the samples of a push.
@@ -513,7 +515,7 @@ def _choose_observations(
     traveled_then = np.interp([time for time, _ in seen], t, traveled)
     wanted = traveled[-1] * np.arange(1, options.observations + up_to_end) / options.observations
     # One observation may be the nearest to several shares.
-    nearest = {int(np.argmin(np.abs(traveled_then - share))) for share in wanted}
+    nearest = {int(np.argmin(np.abs(traveled_then - fraction))) for fraction in wanted}
     return [seen[i] for i in sorted(nearest)]
 
 

@@ -31,10 +31,10 @@ from gridpush_drake.pushes.csv_table import (
     warn_of_further,
 )
 from gridpush_drake.pushes.observed_push import ObservedPush
-from gridpush_drake.pushes.push_csv import POSE
+from gridpush_drake.pushes.push_csv import POSE_COLUMNS
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import (
-    UNUSABLE,
+    UNUSABLE_ERRORS,
     RecordOptions,
     Sample,
     SegmenterOptions,
@@ -46,15 +46,15 @@ from gridpush_drake.pushes.segmentation import (
     name_push,
 )
 
-TIP = ("tip_x", "tip_y", "tip_z")
-VELOCITY = ("tip_vx", "tip_vy", "tip_vz")
-REQUIRED = ("t", "tip_x", "tip_y", *POSE)
-DELAY = "object_delay"
-COLUMNS = ("t", *TIP, *VELOCITY, *POSE, DELAY)
+STREAM_TIP_COLUMNS = ("tip_x", "tip_y", "tip_z")
+VELOCITY_COLUMNS = ("tip_vx", "tip_vy", "tip_vz")
+REQUIRED_STREAM_COLUMNS = ("t", "tip_x", "tip_y", *POSE_COLUMNS)
+DELAY_COLUMN = "object_delay"
+STREAM_COLUMNS = ("t", *STREAM_TIP_COLUMNS, *VELOCITY_COLUMNS, *POSE_COLUMNS, DELAY_COLUMN)
 
-WHAT = "a stream of poses (CSV)"
+EXPECTED_STREAM = "a stream of poses (CSV)"
 
-MAX_TOLD_DELAY = 10.0
+MAX_GIVEN_DELAY = 10.0
 """Largest delay of the object's poses that is believed, s. A larger one is in another unit."""
 
 VELOCITY_WINDOW = 0.1
@@ -115,7 +115,7 @@ def record_pushes(
         # One push that was badly seen must not cost the others.
         try:
             observed = make_observed_push(episode, obj, radius, name_push(len(pushes)), record)
-        except UNUSABLE as error:
+        except UNUSABLE_ERRORS as error:
             unusable.append(
                 f"the motion at {episode.path[0].t:g} s could not be written down: {error}"
             )
@@ -237,16 +237,16 @@ def write_stream_csv(
     """
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    told = [] if pose_delay is None else [repr(float(pose_delay))]
-    writer.writerow(COLUMNS if told else COLUMNS[:-1])
+    delays = [] if pose_delay is None else [repr(float(pose_delay))]
+    writer.writerow(STREAM_COLUMNS if delays else STREAM_COLUMNS[:-1])
     for sample in samples:
         row = [repr(float(sample.t))]
         # Cells of what was not seen are empty, all of the tip's or all of the object's.
         for numbers in ((*sample.tip, *sample.velocity), sample.pose):
             was_seen = all(map(math.isfinite, numbers))
             row += [repr(float(number)) if was_seen else "" for number in numbers]
-        writer.writerow([*row, *told])
-        told = [""] * len(told)
+        writer.writerow([*row, *delays])
+        delays = [""] * len(delays)
     write_whole(path, buffer.getvalue(), force)
 
 
@@ -265,14 +265,21 @@ def read_stream_csv(path: Path | str) -> Stream:
     groups: list[list[list[float]]] = []
     measured = False
     pose_delay: float | None = None
-    for line, row in read_table(path, WHAT, REQUIRED, _check_header):
+    for line, row in read_table(path, EXPECTED_STREAM, REQUIRED_STREAM_COLUMNS, _check_header):
         t.append(_read_time(path, line, row["t"], t, is_log="push" in row))
-        groups.append([_read_group(path, line, row, group) for group in (TIP, VELOCITY, POSE)])
-        measured = VELOCITY[0] in row
-        if not is_empty(row.get(DELAY, "")):
-            pose_delay = _read_delay(path, line, row[DELAY], pose_delay)
+        groups.append(
+            [
+                _read_group(path, line, row, group)
+                for group in (STREAM_TIP_COLUMNS, VELOCITY_COLUMNS, POSE_COLUMNS)
+            ]
+        )
+        measured = VELOCITY_COLUMNS[0] in row
+        if not is_empty(row.get(DELAY_COLUMN, "")):
+            pose_delay = _read_delay(path, line, row[DELAY_COLUMN], pose_delay)
     if not t:
-        raise PushLogError(f"{path}: is empty; expected rows below the header {','.join(REQUIRED)}")
+        raise PushLogError(
+            f"{path}: is empty; expected rows below the header {','.join(REQUIRED_STREAM_COLUMNS)}"
+        )
     times = np.array(t)
     tip, velocity, poses = np.array(groups).transpose(1, 0, 2)
     if not measured:
@@ -282,28 +289,30 @@ def read_stream_csv(path: Path | str) -> Stream:
 
 def _read_delay(path: Path, line: int, cell: str, before: float | None) -> float:
     """Reads the delay in a row's cell, s, which must be the one of the rows before it."""
-    form = f"how late the object's poses are (s), at most {MAX_TOLD_DELAY:g}"
-    delay = read_number(path, line, DELAY, cell, form)
-    if abs(delay) > MAX_TOLD_DELAY:
-        fail(path, line, DELAY, f"is {delay:g}; expected {form}: in milliseconds?")
+    form = f"how late the object's poses are (s), at most {MAX_GIVEN_DELAY:g}"
+    delay = read_number(path, line, DELAY_COLUMN, cell, form)
+    if abs(delay) > MAX_GIVEN_DELAY:
+        fail(path, line, DELAY_COLUMN, f"is {delay:g}; expected {form}: in milliseconds?")
     if before is not None and delay != before:
-        fail(path, line, DELAY, f"is {delay!r} after {before!r}; expected one delay in a file")
+        fail(
+            path, line, DELAY_COLUMN, f"is {delay!r} after {before!r}; expected one delay in a file"
+        )
     return delay
 
 
 def _check_header(path: Path, line: int, header: list[str]) -> None:
     """Refuses a header without a column that is needed, or with one twice or misspelled."""
-    known = f"{TIP[2]}, {DELAY} and {', '.join(VELOCITY)}"
-    form = f"expected {','.join(REQUIRED)} and, if known, {known}"
+    known = f"{STREAM_TIP_COLUMNS[2]}, {DELAY_COLUMN} and {', '.join(VELOCITY_COLUMNS)}"
+    form = f"expected {','.join(REQUIRED_STREAM_COLUMNS)} and, if known, {known}"
     for name in header:
         if header.count(name) > 1:
             fail(path, line, name, f"is there twice; {form}")
-    refuse_misspelled(path, line, header, COLUMNS, form)
-    there = [name for name in VELOCITY if name in header]
-    for name in (*REQUIRED, *(VELOCITY if there else ())):
+    refuse_misspelled(path, line, header, STREAM_COLUMNS, form)
+    there = [name for name in VELOCITY_COLUMNS if name in header]
+    for name in (*REQUIRED_STREAM_COLUMNS, *(VELOCITY_COLUMNS if there else ())):
         if name not in header:
             fail(path, line, name, f"is missing; {form}")
-    warn_of_further(path, header, COLUMNS)
+    warn_of_further(path, header, STREAM_COLUMNS)
 
 
 def _read_time(path: Path, line: int, cell: str, before: list[float], is_log: bool) -> float:
@@ -313,8 +322,8 @@ def _read_time(path: Path, line: int, cell: str, before: list[float], is_log: bo
     """
     time = _read_number(path, line, "t", cell)
     if before and time <= before[-1]:
-        doubt = "; is it a push log, which has a column push?" if is_log else ""
-        expected = f"expected times (s) that increase, as {WHAT} has them{doubt}"
+        hint = "; is it a push log, which has a column push?" if is_log else ""
+        expected = f"expected times (s) that increase, as {EXPECTED_STREAM} has them{hint}"
         fail(path, line, "t", f"is {time!r} after {before[-1]!r}; {expected}")
     return time
 
@@ -336,6 +345,13 @@ def _read_group(
 
 def _read_number(path: Path, line: int, column: str, cell: str) -> float:
     """Reads a cell's number; a message says which columns may be empty together."""
-    group = next((columns for columns in (TIP, VELOCITY, POSE) if column in columns), None)
+    group = next(
+        (
+            columns
+            for columns in (STREAM_TIP_COLUMNS, VELOCITY_COLUMNS, POSE_COLUMNS)
+            if column in columns
+        ),
+        None,
+    )
     form = "a finite number" + (f", or {', '.join(group)} empty" if group else " (s)")
     return read_number(path, line, column, cell, form)

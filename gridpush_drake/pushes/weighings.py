@@ -6,7 +6,7 @@
                  known, the torque of the weight about the pads.
 
 Positions are in the world frame W, in m; angles in rad; forces in N; torques in N m. What they
-tell of mass and center of mass is worked out in `identification.absolute`.
+tell of mass and center of mass is worked out in `identification.absolute.estimate`.
 """
 
 import csv
@@ -23,7 +23,7 @@ from gridpush_drake.errors import PushLogError, require_positive
 from gridpush_drake.files import write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array, check_vector
-from gridpush_drake.notebook import MM, count
+from gridpush_drake.notebook import count
 from gridpush_drake.pushes.csv_table import (
     fail,
     is_empty,
@@ -32,7 +32,8 @@ from gridpush_drake.pushes.csv_table import (
     refuse_misspelled,
     warn_of_further,
 )
-from gridpush_drake.pushes.push_csv import POSE
+from gridpush_drake.pushes.push_csv import POSE_COLUMNS
+from gridpush_drake.units import MM_PER_M
 
 FORCE_STD = 0.2
 """Default standard deviation of a force at the fingertip or the gripper, N: that of an arm that
@@ -51,41 +52,41 @@ EDGE_STD = 0.0005
 """Standard deviation of where the table's edge is along its normal, m, as seen from both fingertip
 and object."""
 
-PRESS = "press"
-LIFT = "lift"
+PRESS_ROW = "press"
+LIFT_ROW = "lift"
 
-KIND = "kind"
-"""Column that says what a row is: `PRESS` or `LIFT`."""
+KIND_COLUMN = "kind"
+"""Column that says what a row is: `PRESS_ROW` or `LIFT_ROW`."""
 
-PLACE = ("place_x", "place_y")
+PLACE_COLUMNS = ("place_x", "place_y")
 """Columns of where the tip presses, or of the middle between the pads."""
 
-FORCE = "force"
+FORCE_COLUMN = "force"
 """Column of the force at which the object begins to tilt, or of its weight."""
 
-EDGE = ("edge_x", "edge_y", "edge_angle")
+EDGE_COLUMNS = ("edge_x", "edge_y", "edge_angle")
 """Columns of a press: a point of the edge, and the direction in which the table ends there."""
 
-TORQUE = ("torque_x", "torque_y")
+TORQUE_COLUMNS = ("torque_x", "torque_y")
 """Columns of a lift: torque of the weight about the middle between the pads; may be empty."""
 
-STDS = ("force_std", "torque_std")
+STD_COLUMNS = ("force_std", "torque_std")
 """Columns of standard deviations; where they are empty, the defaults hold."""
 
-ROCKING = ("center_shift", "free_way", "rock_force")
+ROCKING_COLUMNS = ("center_shift", "free_way", "rock_force")
 """Columns of a press: how far its tilt had moved the center of mass, how far the tip went on
 freely, and a smaller force at which the object gave way before; may be empty."""
 
-REQUIRED = (KIND, *POSE, *PLACE, FORCE, *EDGE)
+REQUIRED_TEST_COLUMNS = (KIND_COLUMN, *POSE_COLUMNS, *PLACE_COLUMNS, FORCE_COLUMN, *EDGE_COLUMNS)
 """Columns that every file has."""
 
-COLUMNS = (*REQUIRED, *TORQUE, *STDS, *ROCKING)
+TEST_COLUMNS = (*REQUIRED_TEST_COLUMNS, *TORQUE_COLUMNS, *STD_COLUMNS, *ROCKING_COLUMNS)
 """All columns that are read."""
 
-UNITS = {
+TEST_COLUMN_UNITS = {
     "object_theta": "rad",
     "edge_angle": "rad",
-    FORCE: "N",
+    FORCE_COLUMN: "N",
     "force_std": "N",
     "torque_x": "N m",
     "torque_y": "N m",
@@ -94,12 +95,12 @@ UNITS = {
 }
 """Unit of each column; m where not listed."""
 
-WHAT = "weighings (CSV)"
+EXPECTED_TESTS = "weighings (CSV)"
 """The expected form of a file, for messages."""
 
 
 @dataclass(frozen=True, eq=False)
-class EdgePress(Frozen):
+class TiltTest(Frozen):
     """One press on a part that hangs over the table's edge, up to where the object begins to tilt.
 
     Attributes:
@@ -134,10 +135,10 @@ class EdgePress(Frozen):
 
     def __post_init__(self) -> None:
         _freeze(self, "press", pose=3, place=2, edge_point=2)
-        for name in ROCKING:
+        for name in ROCKING_COLUMNS:
             value = getattr(self, name)
             if value is not None and not 0 <= value < np.inf:
-                unit = UNITS.get(name, "m")
+                unit = TEST_COLUMN_UNITS.get(name, "m")
                 raise PushLogError(
                     f"press: {name} is {value!r}; expected a number, 0 or more ({unit})"
                 )
@@ -148,7 +149,8 @@ class EdgePress(Frozen):
             )
         if not self.arm > 0:
             raise PushLogError(
-                f"press: the tip is {-self.arm * MM:.1f} mm inside the table's edge; expected a "
+                f"press: the tip is {-self.arm * MM_PER_M:.1f} mm inside the table's edge; "
+                "expected a "
                 "place beyond it"
             )
 
@@ -166,12 +168,12 @@ class EdgePress(Frozen):
         """Force and distance from the edge, in a line."""
         return (
             f"EdgePress: {self.force:.2f} ± {self.force_std:.2f} N, "
-            f"{self.arm * MM:.0f} mm beyond the edge"
+            f"{self.arm * MM_PER_M:.0f} mm beyond the edge"
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Lift(Frozen):
+class LiftTest(Frozen):
     """One look at the forces while the gripper holds the object level in the air.
 
     Attributes:
@@ -211,7 +213,7 @@ class Lift(Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class WeighingLog:
+class MassTestLog:
     """All weighings of one object.
 
     Attributes:
@@ -220,8 +222,8 @@ class WeighingLog:
         source: where they came from, such as a file's name.
     """
 
-    presses: tuple[EdgePress, ...] = ()
-    lifts: tuple[Lift, ...] = ()
+    presses: tuple[TiltTest, ...] = ()
+    lifts: tuple[LiftTest, ...] = ()
     source: str = ""
 
     def __post_init__(self) -> None:
@@ -238,7 +240,7 @@ class WeighingLog:
         return f"WeighingLog: {kinds}{source}"
 
     @classmethod
-    def read_csv(cls, path: Path | str) -> "WeighingLog":
+    def read_csv(cls, path: Path | str) -> "MassTestLog":
         """Reads a file; `docs/reference/files.md` has its columns.
 
         Raises:
@@ -251,7 +253,7 @@ class WeighingLog:
         path = Path(path)
         presses = []
         lifts = []
-        for line, cells in read_table(path, WHAT, REQUIRED, _check_header):
+        for line, cells in read_table(path, EXPECTED_TESTS, REQUIRED_TEST_COLUMNS, _check_header):
             try:
                 made = _parse_row(path, line, cells)
             except PushLogError as error:
@@ -259,7 +261,7 @@ class WeighingLog:
                 if str(error).startswith(str(path)):
                     raise
                 raise PushLogError(f"{path}, line {line}: {error}") from error
-            if isinstance(made, EdgePress):
+            if isinstance(made, TiltTest):
                 presses.append(made)
             else:
                 lifts.append(made)
@@ -275,26 +277,26 @@ class WeighingLog:
         """
         text = io.StringIO(newline="")
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer.writerow(TEST_COLUMNS)
         for press in self.presses:
             edge = [*press.edge_point, press.edge_angle]
             where = [*press.pose, *press.place, press.force, *edge]
             # A press has no torque.
-            values = (getattr(press, name) for name in ROCKING)
+            values = (getattr(press, name) for name in ROCKING_COLUMNS)
             rocking = ["" if one is None else repr(float(one)) for one in values]
             writer.writerow(
-                [PRESS, *_write(where), "", "", *_write([press.force_std]), "", *rocking]
+                [PRESS_ROW, *_write(where), "", "", *_write([press.force_std]), "", *rocking]
             )
         for lift in self.lifts:
             where = [*lift.pose, *lift.place, lift.weight]
             torque = ["", ""] if lift.torque is None else _write(lift.torque)
             # A lift has no edge, and not always a torque.
             stds = _write([lift.weight_std, lift.torque_std])
-            writer.writerow([LIFT, *_write(where), "", "", "", *torque, *stds, "", "", ""])
+            writer.writerow([LIFT_ROW, *_write(where), "", "", "", *torque, *stds, "", "", ""])
         write_whole(path, text.getvalue(), force)
 
 
-def _freeze(record: EdgePress | Lift, what: str, **sizes: int) -> None:
+def _freeze(record: TiltTest | LiftTest, what: str, **sizes: int) -> None:
     """Makes fields of a record read-only vectors of finite numbers."""
     for name, size in sizes.items():
         vector = check_vector(PushLogError, f"{what}: {name}", getattr(record, name), size)
@@ -304,26 +306,26 @@ def _freeze(record: EdgePress | Lift, what: str, **sizes: int) -> None:
 
 def _check_header(path: Path, line: int, header: list[str]) -> None:
     """Refuses a header without a column that is needed, or with one twice or misspelled."""
-    known = ",".join((*TORQUE, *STDS, *ROCKING))
-    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {known}"
-    refuse_misspelled(path, line, header, COLUMNS, form)
-    for name in REQUIRED:
+    known = ",".join((*TORQUE_COLUMNS, *STD_COLUMNS, *ROCKING_COLUMNS))
+    form = f"expected comma-separated {','.join(REQUIRED_TEST_COLUMNS)} and, if known, {known}"
+    refuse_misspelled(path, line, header, TEST_COLUMNS, form)
+    for name in REQUIRED_TEST_COLUMNS:
         if name not in header:
             fail(path, line, name, f"is missing; {form}")
-    for name in COLUMNS:
+    for name in TEST_COLUMNS:
         if header.count(name) > 1:
             fail(path, line, name, f"is there twice; {form}")
-    warn_of_further(path, header, COLUMNS)
+    warn_of_further(path, header, TEST_COLUMNS)
 
 
-def _parse_row(path: Path, line: int, cells: dict[str, str]) -> EdgePress | Lift:
+def _parse_row(path: Path, line: int, cells: dict[str, str]) -> TiltTest | LiftTest:
     """Makes a weighing of a row's cells."""
 
     def read(columns: Iterable[str]) -> list[float]:
         """Reads the numbers of some columns, none of which may be empty."""
         numbers = []
         for name in columns:
-            form = f"a finite number ({UNITS.get(name, 'm')})"
+            form = f"a finite number ({TEST_COLUMN_UNITS.get(name, 'm')})"
             numbers.append(read_number(path, line, name, cells.get(name, ""), form))
         return numbers
 
@@ -332,17 +334,17 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> EdgePress | Lift
         return default if is_empty(cells.get(name, "")) else read([name])[0]
 
     # What both kinds have.
-    kind = cells[KIND].strip()
-    pose = np.array(read(POSE))
-    place = np.array(read(PLACE))
-    (force,) = read([FORCE])
+    kind = cells[KIND_COLUMN].strip()
+    pose = np.array(read(POSE_COLUMNS))
+    place = np.array(read(PLACE_COLUMNS))
+    (force,) = read([FORCE_COLUMN])
     force_std = read_std("force_std", FORCE_STD)
-    if kind == PRESS:
-        x, y, angle = read(EDGE)
+    if kind == PRESS_ROW:
+        x, y, angle = read(EDGE_COLUMNS)
         center_shift, free_way, rock_force = (
-            None if is_empty(cells.get(name, "")) else read([name])[0] for name in ROCKING
+            None if is_empty(cells.get(name, "")) else read([name])[0] for name in ROCKING_COLUMNS
         )
-        return EdgePress(
+        return TiltTest(
             pose=pose,
             place=place,
             force=force,
@@ -353,17 +355,17 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> EdgePress | Lift
             free_way=free_way,
             rock_force=rock_force,
         )
-    if kind == LIFT:
-        felt = not all(is_empty(cells.get(name, "")) for name in TORQUE)
-        return Lift(
+    if kind == LIFT_ROW:
+        felt = not all(is_empty(cells.get(name, "")) for name in TORQUE_COLUMNS)
+        return LiftTest(
             pose=pose,
             place=place,
             weight=force,
-            torque=np.array(read(TORQUE)) if felt else None,
+            torque=np.array(read(TORQUE_COLUMNS)) if felt else None,
             weight_std=force_std,
             torque_std=read_std("torque_std", TORQUE_STD),
         )
-    fail(path, line, KIND, f"is {kind!r}; expected {PRESS!r} or {LIFT!r}")
+    fail(path, line, KIND_COLUMN, f"is {kind!r}; expected {PRESS_ROW!r} or {LIFT_ROW!r}")
 
 
 def _write(values: ArrayLike) -> list[str]:

@@ -27,20 +27,18 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.units import M_PER_CM, MM_PER_M
 
-MM = 1e3
-"""Millimeters in a meter."""
-
-INK = "#2b2f36"
+INK_COLOR = "#2b2f36"
 """Color of outlines and text."""
 
-PALE = "#dfe5ec"
+PALE_COLOR = "#dfe5ec"
 """Color of cells without a value."""
 
-FAINT = "#a9b0b8"
+FAINT_COLOR = "#a9b0b8"
 """Color of where things began, and of whatever stays in the background."""
 
-TABLE = "#f3efe6"
+TABLE_COLOR = "#f3efe6"
 """Color of a table's top."""
 
 PART_COLORS = ("#7fa7c9", "#e3b778", "#8fbf9f", "#c99bb8", "#b3a6d9", "#a9a9a3")
@@ -61,19 +59,19 @@ ARROW_LINE = 1.6
 TIP_LINE = 1.2
 """Width of the path of a finger, points."""
 
-FONT = 9
+FONT_SIZE = 9
 """Size of text, points."""
 
-MARGIN = 0.04
+OBJECT_MARGIN = 0.04
 """Room about an object that is drawn with axes, in its larger side."""
 
-FRAME_SHARE = 0.03
+FRAME_FRACTION = 0.03
 """Room about an object that is drawn without axes, in its larger side."""
 
 SCALE_DROP = 0.05
 """Distance of the scale bar below an object, in the object's larger side."""
 
-BAR_SHARE = 0.04
+BAR_FRACTION = 0.04
 """Width of a color bar, in widths of the axes."""
 
 BAR_GAP = 0.03
@@ -82,10 +80,10 @@ BAR_GAP = 0.03
 MAX_TICKS = 5
 """Largest number of ticks on one axis or color bar."""
 
-LEARNED = "#2468a8"
+LEARNED_COLOR = "#2468a8"
 """Color of what the learned model says."""
 
-BEFORE = "#c9822b"
+PRIOR_COLOR = "#c9822b"
 """Color of what was held before learning."""
 
 PAGE_WIDTH = 8.0
@@ -100,16 +98,14 @@ BAR_ROOM = 0.55
 TITLE_ROOM = 0.5
 """Room above a panel for its title, inches."""
 
-CENTIMETER = 0.01
-"""Length from which on lengths are given in cm, m. Shorter ones are given in mm."""
 
-ROUND = (5, 2, 1)
+SCALE_BAR_DIGITS = (5, 2, 1)
 """Digits with which a scale bar's length begins, the larger ones preferred."""
 
-SCALE_SHARE = 0.4
+SCALE_FRACTION = 0.4
 """Longest scale bar, in the object's larger side."""
 
-PADDING = 0.05
+SVG_PADDING = 0.05
 """Room about what is drawn in an SVG file, inches."""
 
 LEGEND_PAD = 4.5
@@ -167,7 +163,7 @@ def draw_cells(
         _squares(obj, pose), edgecolors="white", linewidths=CELL_LINE, alpha=alpha
     )
     if values is None:
-        cells.set_facecolor(PALE)
+        cells.set_facecolor(PALE_COLOR)
     else:
         numbers = np.asarray(values, dtype=np.float64)
         if numbers.shape != (obj.n,):
@@ -212,7 +208,7 @@ def draw_parts(ax: Axes, obj: GridObject) -> PolyCollection:
         for part, count, color in zip(labels, counts, colors, strict=True)
     ]
     ax.legend(
-        handles=handles, fontsize=FONT, frameon=False, loc="upper left", bbox_to_anchor=(1, 1)
+        handles=handles, fontsize=FONT_SIZE, frameon=False, loc="upper left", bbox_to_anchor=(1, 1)
     )
     return cells
 
@@ -222,7 +218,7 @@ def draw_outline(
     obj: GridObject,
     *,
     pose: ArrayLike = (0.0, 0.0, 0.0),
-    color: str = INK,
+    color: str = INK_COLOR,
     linestyle: str = "solid",
     alpha: float = 1.0,
 ) -> PathPatch:
@@ -262,9 +258,9 @@ def add_color_bar(ax: Axes, mappable: ScalarMappable, label: str) -> Colorbar:
     """Adds a slim color bar beside some axes, with a title."""
     figure = ax.get_figure(root=True)
     assert figure is not None, "the axes are on a figure"
-    bar = figure.colorbar(mappable, ax=ax, fraction=BAR_SHARE, pad=BAR_GAP)
-    bar.set_label(label, fontsize=FONT, color=INK)
-    bar.ax.tick_params(labelsize=FONT - 1, colors=INK)
+    bar = figure.colorbar(mappable, ax=ax, fraction=BAR_FRACTION, pad=BAR_GAP)
+    bar.set_label(label, fontsize=FONT_SIZE, color=INK_COLOR)
+    bar.ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK_COLOR)
     bar.ax.yaxis.set_major_locator(MaxNLocator(MAX_TICKS))
     bar.outline.set_visible(False)
     return bar
@@ -281,20 +277,26 @@ def _squares(obj: GridObject, pose: ArrayLike) -> list[Array]:
 def _frame(ax: Axes) -> None:
     """Gives axes of a map equal scales, room, labels and few ticks."""
     ax.set_aspect("equal", adjustable="datalim")
-    ax.margins(MARGIN)
+    ax.margins(OBJECT_MARGIN)
     ax.autoscale_view()
     for spine in ("top", "right"):
         ax.spines[spine].set_visible(False)
     for axis, name in ((ax.xaxis, "x, m"), (ax.yaxis, "y, m")):
         axis.set_major_locator(MaxNLocator(MAX_TICKS))
-        axis.label.set(text=name, fontsize=FONT, color=INK)
-    ax.tick_params(labelsize=FONT - 1, colors=INK)
+        axis.label.set(text=name, fontsize=FONT_SIZE, color=INK_COLOR)
+    ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK_COLOR)
 
 
 def draw_table(ax: Axes, corners: ArrayLike) -> None:
     """Draws a table's top by its corners (k, 2), m."""
     ax.add_patch(
-        Polygon(np.asarray(corners), facecolor=TABLE, edgecolor=FAINT, linewidth=1.0, zorder=0)
+        Polygon(
+            np.asarray(corners),
+            facecolor=TABLE_COLOR,
+            edgecolor=FAINT_COLOR,
+            linewidth=1.0,
+            zorder=0,
+        )
     )
 
 
@@ -322,7 +324,7 @@ def draw_numbered_push(ax: Axes, push: Push, number: int, color: str) -> None:
         float(begin[1]),
         str(number),
         color=color,
-        fontsize=FONT - 2,
+        fontsize=FONT_SIZE - 2,
         ha="center",
         va="center_baseline",
         fontweight="bold",
@@ -352,7 +354,7 @@ def add_legend_below(ax: Axes, handles: Sequence[Line2D], columns: int) -> None:
     """Adds a legend below the axes and their labels."""
     ax.legend(
         handles=list(handles),
-        fontsize=FONT - 1,
+        fontsize=FONT_SIZE - 1,
         frameon=False,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
@@ -409,13 +411,13 @@ def hide_axes(ax: Axes, title: str = "") -> None:
     """Leaves of the axes only the drawing and a title."""
     ax.set_axis_off()
     ax.set_aspect("equal", adjustable="datalim")
-    ax.set_title(title, fontsize=FONT, color=INK)
+    ax.set_title(title, fontsize=FONT_SIZE, color=INK_COLOR)
 
 
 def frame_object(ax: Axes, obj: GridObject) -> None:
     """Sets the axes' limits to the object in its body frame, with room for a scale bar."""
     x0, y0, x1, y1 = obj.outline.bounds
-    room = obj.cell_size / 2 + FRAME_SHARE * max(x1 - x0, y1 - y0)
+    room = obj.cell_size / 2 + FRAME_FRACTION * max(x1 - x0, y1 - y0)
     ax.set_aspect("equal", adjustable="box")
     ax.set_xlim(x0 - room, x1 + room)
     ax.set_ylim(y0 - room - SCALE_DROP * max(x1 - x0, y1 - y0), y1 + room)
@@ -424,16 +426,16 @@ def frame_object(ax: Axes, obj: GridObject) -> None:
 def add_scale_bar(ax: Axes, obj: GridObject) -> None:
     """Adds a bar of a round length below the object, body frame."""
     x0, y0, x1, y1 = obj.outline.bounds
-    length = calc_round_length(SCALE_SHARE * max(x1 - x0, y1 - y0))
+    length = calc_round_length(SCALE_FRACTION * max(x1 - x0, y1 - y0))
     below = y0 - obj.cell_size / 2 - SCALE_DROP * max(x1 - x0, y1 - y0)
-    ax.plot([x0, x0 + length], [below, below], color=INK, linewidth=2, solid_capstyle="butt")
-    words = f" {length * 100:g} cm" if length >= CENTIMETER else f" {length * MM:g} mm"
+    ax.plot([x0, x0 + length], [below, below], color=INK_COLOR, linewidth=2, solid_capstyle="butt")
+    words = f" {length * 100:g} cm" if length >= M_PER_CM else f" {length * MM_PER_M:g} mm"
     ax.annotate(
         words,
         (x0 + length, below),
         va="center",
-        fontsize=FONT - 1,
-        color=INK,
+        fontsize=FONT_SIZE - 1,
+        color=INK_COLOR,
         annotation_clip=False,
     )
 
@@ -441,14 +443,16 @@ def add_scale_bar(ax: Axes, obj: GridObject) -> None:
 def calc_round_length(longest: float) -> float:
     """Calculates the largest of 1, 2 or 5 times a power of ten that is at most `longest`."""
     power = 10.0 ** floor(log10(longest))
-    return next(first * power for first in ROUND if first * power <= longest * (1 + 1e-9))
+    return next(
+        first * power for first in SCALE_BAR_DIGITS if first * power <= longest * (1 + 1e-9)
+    )
 
 
 def tidy(ax: Axes, x: str, y: str) -> None:
     """Names the axes of a chart and takes away what is not needed."""
-    ax.set_xlabel(x, fontsize=FONT, color=INK)
-    ax.set_ylabel(y, fontsize=FONT, color=INK)
-    ax.tick_params(labelsize=FONT - 1, colors=INK)
+    ax.set_xlabel(x, fontsize=FONT_SIZE, color=INK_COLOR)
+    ax.set_ylabel(y, fontsize=FONT_SIZE, color=INK_COLOR)
+    ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK_COLOR)
     for spine in ("top", "right"):
         ax.spines[spine].set_visible(False)
     ax.grid(True, axis="both", color="#e8ebee", linewidth=0.6)
@@ -460,6 +464,10 @@ def to_svg(figure: Figure) -> bytes:
     buffer = BytesIO()
     with rc_context({"svg.hashsalt": "gridpush"}):
         figure.savefig(
-            buffer, format="svg", metadata={"Date": None}, bbox_inches="tight", pad_inches=PADDING
+            buffer,
+            format="svg",
+            metadata={"Date": None},
+            bbox_inches="tight",
+            pad_inches=SVG_PADDING,
         )
     return buffer.getvalue()

@@ -12,22 +12,21 @@ from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array, transform_back
-from gridpush_drake.identification.absolute import TiltingLine, TiltTest
+from gridpush_drake.identification.absolute.estimate import TiltingLine, TiltTestCheck
 from gridpush_drake.identification.result import HistoryEntry, Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.report.draw import (
-    BEFORE,
     CELL_MAP,
-    FAINT,
-    FONT,
+    FAINT_COLOR,
+    FONT_SIZE,
     HALF_WIDTH,
-    INK,
-    LEARNED,
-    MM,
+    INK_COLOR,
+    LEARNED_COLOR,
     PAGE_WIDTH,
     PART_COLORS,
+    PRIOR_COLOR,
     add_color_bar,
     add_scale_bar,
     draw_arrow,
@@ -42,6 +41,7 @@ from gridpush_drake.report.draw import (
     make_panels,
     tidy,
 )
+from gridpush_drake.units import GRAMS_PER_KG, MM_PER_M
 
 LEGEND_COLUMNS = 3
 """Number of columns of a legend."""
@@ -50,22 +50,20 @@ MOTION_WIDTH = 6.0
 """Width of a motion's figure, inches."""
 
 ARROW_HEAD = 0.01
-"""Share of a path, at its end, along which the head of its arrow points."""
+"""Fraction of a path, at its end, along which the head of its arrow points."""
 
-GHOSTS = 5
+GHOST_COUNT = 5
 """Number of faint outlines along a drawn motion, besides its two ends."""
 
 SPREAD_MAP = "BuPu"
 """Color map of standard deviations."""
 
-SHARE_MAP = "YlGnBu"
+FRACTION_MAP = "YlGnBu"
 """Color map of how much was learned, 0 to 1."""
 
-FAINTEST = 0.25
+MIN_OPACITY = 0.25
 """Opacity of a cell of which nothing was learned."""
 
-GRAM = 1e3
-"""Grams in a kilogram."""
 
 MAX_OVERLAYS = 8
 """Largest number of pushes that are drawn one by one."""
@@ -111,9 +109,9 @@ def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None =
     used = [seen for seen in log if seen.name not in names]
     left_out = [seen for seen in log if seen.name in names]
     kinds = (
-        (used, LEARNED, "learned from"),
-        (left_out, FAINT, "left out"),
-        (held_out or (), BEFORE, "held out"),
+        (used, LEARNED_COLOR, "learned from"),
+        (left_out, FAINT_COLOR, "left out"),
+        (held_out or (), PRIOR_COLOR, "held out"),
     )
     for pushes, color, label in kinds:
         for i, seen in enumerate(pushes):
@@ -121,7 +119,7 @@ def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None =
     ax.autoscale_view()
     hide_axes(ax)
     add_scale_bar(ax, obj)
-    ax.legend(fontsize=FONT, frameon=False)
+    ax.legend(fontsize=FONT_SIZE, frameon=False)
     _put_legend_above(ax)
     return figure
 
@@ -135,16 +133,22 @@ def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> F
     """
     figure, ax = make_chart(HALF_WIDTH, 0.55 * HALF_WIDTH)
     simulations = [entry.simulations for entry in history]
-    loss = [entry.loss * MM for entry in history]
-    ax.step(simulations, loss, where="post", color=LEARNED, linewidth=1.6, label="best so far")
-    ax.plot(simulations, loss, ".", color=LEARNED, markersize=4)
+    loss = [entry.loss * MM_PER_M for entry in history]
+    ax.step(
+        simulations, loss, where="post", color=LEARNED_COLOR, linewidth=1.6, label="best so far"
+    )
+    ax.plot(simulations, loss, ".", color=LEARNED_COLOR, markersize=4)
     if before is not None and np.isfinite(before):
         ax.axhline(
-            before * MM, color=BEFORE, linewidth=1.2, linestyle="dashed", label="even object"
+            before * MM_PER_M,
+            color=PRIOR_COLOR,
+            linewidth=1.2,
+            linestyle="dashed",
+            label="even object",
         )
     ax.set_ylim(bottom=0)
     tidy(ax, "simulated pushes", "mean cell error, mm")
-    ax.legend(fontsize=FONT, frameon=False)
+    ax.legend(fontsize=FONT_SIZE, frameon=False)
     return figure
 
 
@@ -158,17 +162,23 @@ def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> 
     figure, ax = make_chart(6.5, 2.9)
     ax.plot(
         np.arange(len(errors)),
-        np.array(errors) * MM,
+        np.array(errors) * MM_PER_M,
         "o-",
-        color=LEARNED,
+        color=LEARNED_COLOR,
         markersize=5,
         linewidth=1.6,
     )
-    ax.axhline(errors[0] * MM, color=BEFORE, linewidth=1.2, linestyle="dashed", label="even object")
+    ax.axhline(
+        errors[0] * MM_PER_M,
+        color=PRIOR_COLOR,
+        linewidth=1.2,
+        linestyle="dashed",
+        label="even object",
+    )
     if noise_floor is not None:
         ax.axhline(
-            noise_floor * MM,
-            color=FAINT,
+            noise_floor * MM_PER_M,
+            color=FAINT_COLOR,
             linewidth=1.2,
             linestyle="dashed",
             label="true masses and frictions",
@@ -176,11 +186,11 @@ def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> 
     ax.set_xticks(np.arange(len(errors)))
     ax.set_ylim(bottom=0)
     tidy(ax, "pushes learned from", "mean cell error, mm")
-    ax.legend(fontsize=FONT, frameon=False)
+    ax.legend(fontsize=FONT_SIZE, frameon=False)
     return figure
 
 
-def draw_tilt_tests(obj: GridObject, tests: Sequence[TiltTest]) -> Figure:
+def draw_tilt_tests(obj: GridObject, tests: Sequence[TiltTestCheck]) -> Figure:
     """Draws where an object was pressed at the table's edge, and each force beside its expectation.
 
     Args:
@@ -192,13 +202,13 @@ def draw_tilt_tests(obj: GridObject, tests: Sequence[TiltTest]) -> Figure:
     draw_outline(left, obj)
     numbers = np.arange(1, len(tests) + 1)
     for number, one in zip(numbers, tests, strict=True):
-        color = LEARNED if one.line == TiltingLine.EDGE else BEFORE
+        color = LEARNED_COLOR if one.line == TiltingLine.EDGE else PRIOR_COLOR
         x, y = one.place
         left.plot(x, y, "o", color=color, markersize=4)
-        left.annotate(str(number), (x, y), (4, 4), textcoords="offset points", fontsize=FONT)
+        left.annotate(str(number), (x, y), (4, 4), textcoords="offset points", fontsize=FONT_SIZE)
         # From what is expected to what was measured.
-        right.plot([number, number], [one.expected, one.force], color=FAINT, linewidth=1.6)
-        right.plot(number, one.expected, "o", color=FAINT, markersize=5)
+        right.plot([number, number], [one.expected, one.force], color=FAINT_COLOR, linewidth=1.6)
+        right.plot(number, one.expected, "o", color=FAINT_COLOR, markersize=5)
         right.plot(number, one.force, "o", color=color, markersize=5)
         top = max(one.expected, one.force)
         right.annotate(
@@ -206,13 +216,13 @@ def draw_tilt_tests(obj: GridObject, tests: Sequence[TiltTest]) -> Figure:
             (number, top),
             (0, 5),
             textcoords="offset points",
-            fontsize=FONT,
+            fontsize=FONT_SIZE,
             ha="center",
         )
     for color, label in (
-        (LEARNED, "measured, about the edge"),
-        (BEFORE, "measured, does not count as that"),
-        (FAINT, "expected by all others"),
+        (LEARNED_COLOR, "measured, about the edge"),
+        (PRIOR_COLOR, "measured, does not count as that"),
+        (FAINT_COLOR, "expected by all others"),
     ):
         right.plot([], [], "o", color=color, markersize=5, label=label)
     hide_axes(left)
@@ -223,7 +233,9 @@ def draw_tilt_tests(obj: GridObject, tests: Sequence[TiltTest]) -> Figure:
     highest = max(max(one.force, one.expected) for one in tests)
     right.set_ylim(0, TILT_TEST_ROOM * highest)
     tidy(right, "press", "force, N; above it: residual")
-    right.legend(fontsize=FONT, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=1)
+    right.legend(
+        fontsize=FONT_SIZE, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=1
+    )
     return figure
 
 
@@ -249,9 +261,9 @@ def _draw_arrow(ax: Axes, path: Array, color: str, label: str | None) -> None:
 def draw_model(result: Identification, truth: CellParameters | None = None) -> Figure:
     """Draws the learned load and mass beside their standard deviations, and the truth if known.
 
-    The load is a cell's share of the support's friction in units of the even share, so 1 everywhere
-    where it is even. What was learned is drawn full, what is the prior's faint; a row for the load
-    and one for mass.
+    The load is a cell's fraction of the support's friction in units of the even fraction, so 1
+    everywhere where it is even. What was learned is drawn full, what is the prior's faint; a row
+    for the load and one for mass.
     """
     obj = result.obj
     known = result.identifiability
@@ -260,24 +272,24 @@ def draw_model(result: Identification, truth: CellParameters | None = None) -> F
     if truth is not None:
         true_load = truth.relative_friction() * obj.n
         # Of the learned total mass, so that only the distribution differs.
-        true_mass = truth.mass * (result.params.total_mass / truth.total_mass) * GRAM
+        true_mass = truth.mass * (result.params.total_mass / truth.total_mass) * GRAMS_PER_KG
     rows = [
         (
             "load",
             known.relative_friction * obj.n,
             known.relative_friction_std * obj.n,
             true_load,
-            "× even share",
+            "× even fraction",
         ),
         (
             "mass at even friction",
-            result.params.mass * GRAM,
-            result.std.mass * GRAM,
+            result.params.mass * GRAMS_PER_KG,
+            result.std.mass * GRAMS_PER_KG,
             true_mass,
             "g a cell",
         ),
     ]
-    shown = FAINTEST + (1 - FAINTEST) * known.learned_share
+    shown = MIN_OPACITY + (1 - MIN_OPACITY) * known.learned_share
     figure, axes = make_panels(obj, len(rows), 2 if truth is None else 3)
     for ax_row, (name, estimate, spread, true, unit) in zip(axes, rows, strict=True):
         limits = _limits(estimate, true)
@@ -310,15 +322,17 @@ def draw_unknown_maps(result: Identification) -> Figure:
         "learned from the pushes",
         "%",
         (0, 100),
-        SHARE_MAP,
+        FRACTION_MAP,
     )
-    greatest = np.where(np.isfinite(known.mass_max), known.mass_max, np.nan) * GRAM
-    limits = _limits(known.mass_min * GRAM, greatest)
-    _draw_map(axes[0, 1], obj, known.mass_min * GRAM, "smallest possible mass", "g a cell", limits)
+    greatest = np.where(np.isfinite(known.mass_max), known.mass_max, np.nan) * GRAMS_PER_KG
+    limits = _limits(known.mass_min * GRAMS_PER_KG, greatest)
+    _draw_map(
+        axes[0, 1], obj, known.mass_min * GRAMS_PER_KG, "smallest possible mass", "g a cell", limits
+    )
     _draw_map(axes[0, 2], obj, greatest, "greatest possible mass", "g a cell", limits)
     low, high = known.center_of_mass_box
     for ax in axes[0, 1:] if np.isfinite(known.center_of_mass_box).all() else ():
-        for color, width in (("white", 3.0), (LEARNED, 1.5)):
+        for color, width in (("white", 3.0), (LEARNED_COLOR, 1.5)):
             ax.add_patch(
                 Rectangle(low, *(high - low), fill=False, edgecolor=color, linewidth=width)
             )
@@ -366,7 +380,7 @@ def _limits(values: Array, others: Array | None = None, zero: bool = False) -> t
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class PushOutcome:
     """How one push came out.
 
     Attributes:
@@ -386,7 +400,7 @@ class Outcome:
     held_out: bool
 
 
-def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
+def draw_overlays(obj: GridObject, outcomes: Sequence[PushOutcome]) -> Figure:
     """Draws up to `MAX_OVERLAYS` pushes: where the object was, went, and was predicted to go."""
     chosen = outcomes[:MAX_OVERLAYS]
     columns = min(OVERLAY_COLUMNS, max(len(chosen), 1))
@@ -399,63 +413,63 @@ def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
     for ax, outcome in zip(axes.flat, chosen, strict=False):
         _draw_overlay(ax, obj, outcome)
     drawn = {
-        "before the push": FAINT,
-        "observed": INK,
-        "even object": BEFORE,
-        "learned": LEARNED,
+        "before the push": FAINT_COLOR,
+        "observed": INK_COLOR,
+        "even object": PRIOR_COLOR,
+        "learned": LEARNED_COLOR,
     }
     handles = [
         Line2D(
             [],
             [],
             color=color,
-            linestyle="dashed" if color == FAINT else "solid",
+            linestyle="dashed" if color == FAINT_COLOR else "solid",
             linewidth=1.6,
             label=label,
         )
         for label, color in drawn.items()
     ]
     figure.legend(
-        handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=FONT
+        handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=FONT_SIZE
     )
     return figure
 
 
-def _draw_overlay(ax: Axes, obj: GridObject, outcome: Outcome) -> None:
+def _draw_overlay(ax: Axes, obj: GridObject, outcome: PushOutcome) -> None:
     """Draws one push, with its errors in the title."""
     seen = outcome.seen
-    draw_outline(ax, obj, pose=seen.pose, color=FAINT, linestyle="dashed")
-    draw_outline(ax, obj, pose=seen.final_pose, color=INK)
-    draw_outline(ax, obj, pose=outcome.before, color=BEFORE, alpha=0.9)
-    draw_outline(ax, obj, pose=outcome.after, color=LEARNED, alpha=0.9)
-    ax.plot(*seen.push.xy.T, color=FAINT, linewidth=1)
-    ax.plot(*seen.push.xy[-1], marker="o", markersize=4, color=FAINT)
+    draw_outline(ax, obj, pose=seen.pose, color=FAINT_COLOR, linestyle="dashed")
+    draw_outline(ax, obj, pose=seen.final_pose, color=INK_COLOR)
+    draw_outline(ax, obj, pose=outcome.before, color=PRIOR_COLOR, alpha=0.9)
+    draw_outline(ax, obj, pose=outcome.after, color=LEARNED_COLOR, alpha=0.9)
+    ax.plot(*seen.push.xy.T, color=FAINT_COLOR, linewidth=1)
+    ax.plot(*seen.push.xy[-1], marker="o", markersize=4, color=FAINT_COLOR)
     ax.autoscale_view()
     kind = ", held out" if outcome.held_out else ""
-    errors = f"{outcome.error_before * MM:.1f} → {outcome.error_after * MM:.1f} mm"
+    errors = f"{outcome.error_before * MM_PER_M:.1f} → {outcome.error_after * MM_PER_M:.1f} mm"
     hide_axes(ax, f"{seen.name}{kind}\n{errors}")
 
 
-def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
+def draw_errors(outcomes: Sequence[PushOutcome]) -> Figure:
     """Draws every push's cell error of an even object and as learned."""
     return _draw_dumbbells(outcomes) if len(outcomes) <= MAX_DUMBBELLS else _draw_scatter(outcomes)
 
 
-def _collect_errors(outcomes: Sequence[Outcome]) -> tuple[Array, Array]:
+def _collect_errors(outcomes: Sequence[PushOutcome]) -> tuple[Array, Array]:
     """Collects the errors (P,) of an even object and as learned, mm."""
-    before = MM * np.array([outcome.error_before for outcome in outcomes])
-    after = MM * np.array([outcome.error_after for outcome in outcomes])
+    before = MM_PER_M * np.array([outcome.error_before for outcome in outcomes])
+    after = MM_PER_M * np.array([outcome.error_after for outcome in outcomes])
     return before, after
 
 
-def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
+def _draw_dumbbells(outcomes: Sequence[PushOutcome]) -> Figure:
     """Draws a line for each push, from its error of an even object to that as learned."""
     figure, ax = make_chart(6.5, LINE_HEIGHT * len(outcomes) + 0.9)
     before, after = _collect_errors(outcomes)
     places = np.arange(len(outcomes))[::-1]
-    ax.hlines(places, before, after, color=FAINT, linewidth=1.2)
-    ax.plot(before, places, "o", color=BEFORE, markersize=5, label="even object")
-    ax.plot(after, places, "o", color=LEARNED, markersize=5, label="learned")
+    ax.hlines(places, before, after, color=FAINT_COLOR, linewidth=1.2)
+    ax.plot(before, places, "o", color=PRIOR_COLOR, markersize=5, label="even object")
+    ax.plot(after, places, "o", color=LEARNED_COLOR, markersize=5, label="learned")
     names = [
         f"{outcome.seen.name}{' (held out)' if outcome.held_out else ''}" for outcome in outcomes
     ]
@@ -463,30 +477,32 @@ def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
     ax.set_xlim(left=0)
     ax.set_ylim(-0.7, len(outcomes) - 0.3)
     tidy(ax, "mean cell error of the final pose, mm", "")
-    ax.legend(fontsize=FONT, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    ax.legend(
+        fontsize=FONT_SIZE, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2
+    )
     return figure
 
 
-def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
+def _draw_scatter(outcomes: Sequence[PushOutcome]) -> Figure:
     """Draws a point for each push: its error as learned over that of an even object."""
     figure, ax = make_chart(5.0, 4.6)
     before, after = _collect_errors(outcomes)
     held_out = np.array([outcome.held_out for outcome in outcomes])
     for which, color, label in (
-        (~held_out, LEARNED, "learned from"),
-        (held_out, BEFORE, "held out"),
+        (~held_out, LEARNED_COLOR, "learned from"),
+        (held_out, PRIOR_COLOR, "held out"),
     ):
         if which.any():
             ax.plot(
                 before[which], after[which], "o", color=color, markersize=4, alpha=0.7, label=label
             )
     top = 1.05 * float(max(before.max(), after.max()))
-    ax.plot([0, top], [0, top], color=FAINT, linestyle="dashed", linewidth=1)
+    ax.plot([0, top], [0, top], color=FAINT_COLOR, linestyle="dashed", linewidth=1)
     ax.set_xlim(0, top)
     ax.set_ylim(0, top)
     ax.set_aspect("equal")
     tidy(ax, "cell error of an even object, mm", "cell error as learned, mm")
-    ax.legend(fontsize=FONT, frameon=False, loc="upper left")
+    ax.legend(fontsize=FONT_SIZE, frameon=False, loc="upper left")
     return figure
 
 
@@ -499,11 +515,11 @@ def draw_motion(obj: GridObject, push: Push, poses: Array) -> Figure:
         poses: (T+1, 3) of the object, m and rad.
     """
     figure, ax = make_chart(MOTION_WIDTH, 0.75 * MOTION_WIDTH)
-    for pose in poses[np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]]:
-        draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
-    draw_outline(ax, obj, pose=poses[0], color=FAINT, linestyle="dashed")
+    for pose in poses[np.linspace(0, len(poses) - 1, GHOST_COUNT + 2).astype(int)[1:-1]]:
+        draw_outline(ax, obj, pose=pose, color=FAINT_COLOR, alpha=0.5)
+    draw_outline(ax, obj, pose=poses[0], color=FAINT_COLOR, linestyle="dashed")
     draw_cells(ax, obj, pose=poses[-1])
-    draw_tips(ax, push, LEARNED)
+    draw_tips(ax, push, LEARNED_COLOR)
     ax.autoscale_view()
     return figure
 
@@ -520,15 +536,15 @@ def draw_scene_motion(
         observed: (N, 3) where they were seen to end, m and rad; None where nobody saw them.
     """
     figure, ax = make_chart(MOTION_WIDTH, 0.75 * MOTION_WIDTH)
-    shown = np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]
+    shown = np.linspace(0, len(poses) - 1, GHOST_COUNT + 2).astype(int)[1:-1]
     for i, obj in enumerate(objects):
         color = PART_COLORS[i % len(PART_COLORS)]
         for pose in poses[shown, i]:
-            draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
-        draw_outline(ax, obj, pose=poses[0, i], color=FAINT, linestyle="dashed")
+            draw_outline(ax, obj, pose=pose, color=FAINT_COLOR, alpha=0.5)
+        draw_outline(ax, obj, pose=poses[0, i], color=FAINT_COLOR, linestyle="dashed")
         draw_cells(ax, obj, pose=poses[-1, i]).set_facecolor(color)
         if observed is not None:
-            draw_outline(ax, obj, pose=observed[i], color=INK)
-    draw_tips(ax, push, LEARNED)
+            draw_outline(ax, obj, pose=observed[i], color=INK_COLOR)
+    draw_tips(ax, push, LEARNED_COLOR)
     ax.autoscale_view()
     return figure

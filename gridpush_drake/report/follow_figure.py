@@ -13,12 +13,11 @@ from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import (
-    BEFORE,
-    FAINT,
-    INK,
-    LEARNED,
-    MM,
+    FAINT_COLOR,
+    INK_COLOR,
+    LEARNED_COLOR,
     PAGE_WIDTH,
+    PRIOR_COLOR,
     add_legend_below,
     draw_outline,
     draw_table,
@@ -26,15 +25,16 @@ from gridpush_drake.report.draw import (
     make_grid,
     tidy,
 )
-from gridpush_drake.report.plan_figures import OBSTACLE, PANEL_HEIGHT, ROOM
+from gridpush_drake.report.plan_figures import FIGURE_MARGIN, OBSTACLE_COLOR, PANEL_HEIGHT
+from gridpush_drake.units import MM_PER_M
 
-LINE = 1.2
+LINE_WIDTH = 1.2
 """Width of the lines of ways, points."""
 
 PATH_LINE = 3.5
 """Width of the line of the path, points: it is seen on both sides of the object's way."""
 
-OUTLINES = 8
+OUTLINE_COUNT = 8
 """Number of outlines of the object on its way that are drawn, besides the first and the last."""
 
 
@@ -73,18 +73,18 @@ def draw_follow_run(
         draw_table(ax, surface.corners)
     for obstacle in obstacles:
         corners = np.array(obstacle.exterior.coords)[:, :2]
-        ax.add_patch(Polygon(corners, facecolor=OBSTACLE, edgecolor=INK, zorder=0.5))
+        ax.add_patch(Polygon(corners, facecolor=OBSTACLE_COLOR, edgecolor=INK_COLOR, zorder=0.5))
     # the object on its way, where it should end, and the ways of its centroid and of the finger
     if len(gone):
-        rows = np.linspace(0, len(gone) - 1, OUTLINES + 2).round().astype(int)
+        rows = np.linspace(0, len(gone) - 1, OUTLINE_COUNT + 2).round().astype(int)
         for row in np.unique(rows):
             ends = row in (0, len(gone) - 1)
-            draw_outline(ax, obj, pose=gone[row], color=LEARNED, alpha=1.0 if ends else 0.3)
+            draw_outline(ax, obj, pose=gone[row], color=LEARNED_COLOR, alpha=1.0 if ends else 0.3)
     draw_outline(ax, obj, pose=aim, linestyle="dotted")
     ways = (
-        (find_centers(obj, path), BEFORE, PATH_LINE, "path"),
-        (find_centers(obj, gone), LEARNED, LINE, "object"),
-        (finger, FAINT, LINE, "finger"),
+        (find_centers(obj, path), PRIOR_COLOR, PATH_LINE, "path"),
+        (find_centers(obj, gone), LEARNED_COLOR, LINE_WIDTH, "object"),
+        (finger, FAINT_COLOR, LINE_WIDTH, "finger"),
     )
     handles = []
     for places, color, width, label in ways:
@@ -92,13 +92,18 @@ def draw_follow_run(
         handles.append(Line2D([], [], color=color, linewidth=width, label=label))
     shapes = [np.array(obstacle.exterior.coords)[:, :2] for obstacle in obstacles]
     cells = obj.cells_at(np.vstack([gone[[0, -1]] if len(gone) else gone, aim])).reshape(-1, 2)
-    frame_points(ax, [cells, finger, *shapes], ROOM)
+    frame_points(ax, [cells, finger, *shapes], FIGURE_MARGIN)
     add_legend_below(ax, handles, 3)
 
     # how far off the path it was
     ax = axes[0, 1]
     clock = np.asarray(times, dtype=np.float64)
-    ax.plot(clock - clock[:1].sum(), np.asarray(distances) * MM, color=LEARNED, linewidth=LINE)
+    ax.plot(
+        clock - clock[:1].sum(),
+        np.asarray(distances) * MM_PER_M,
+        color=LEARNED_COLOR,
+        linewidth=LINE_WIDTH,
+    )
     ax.set_ylim(bottom=0.0)
     tidy(ax, "time, s", "distance from the path, mm")
     return figure

@@ -12,9 +12,12 @@ from matplotlib.figure import Figure
 
 from gridpush_drake import Model, __version__
 from gridpush_drake.dynamics.physics import GRAVITY
-from gridpush_drake.identification.absolute import DOUBT, AbsoluteEstimate, TiltingLine
-from gridpush_drake.identification.model_check import doubt_center
-from gridpush_drake.identification.outliers import remove_outliers
+from gridpush_drake.identification.absolute.estimate import (
+    MIN_FIT_PROBABILITY,
+    AbsoluteEstimate,
+    TiltingLine,
+)
+from gridpush_drake.identification.model_check import describe_center_conflict
 from gridpush_drake.identification.prediction import (
     ErrorSummary,
     calc_final_errors,
@@ -22,17 +25,18 @@ from gridpush_drake.identification.prediction import (
     summarize_errors,
 )
 from gridpush_drake.identification.result import Identification, IdentificationStatus
+from gridpush_drake.identification.statistics.outliers import remove_outliers
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.perception.sight import Sight
+from gridpush_drake.perception.images.camera_view import CameraView
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.report.camera_figure import describe_sight, draw_sight
-from gridpush_drake.report.draw import MM, to_svg
+from gridpush_drake.report.camera_figure import describe_camera_view, draw_camera_view
+from gridpush_drake.report.draw import to_svg
 from gridpush_drake.report.figures import (
     MAX_DUMBBELLS,
     MAX_OVERLAYS,
-    Outcome,
+    PushOutcome,
     draw_errors,
     draw_learning,
     draw_loss,
@@ -43,7 +47,8 @@ from gridpush_drake.report.figures import (
     draw_tilt_tests,
     draw_unknown_maps,
 )
-from gridpush_drake.report.progress import Expectation, Progress, draw_progress
+from gridpush_drake.report.progress import ExpectedUncertainty, Progress, draw_progress
+from gridpush_drake.units import MM_PER_M
 
 LINE_WORDS = {
     TiltingLine.EDGE: "about the edge",
@@ -70,7 +75,7 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
     known = result.identifiability
     params = result.params
 
-    def told(describe: Callable[[CellParameters], str]) -> str:
+    def describe_true(describe: Callable[[CellParameters], str]) -> str:
         return "" if truth is None else describe(truth)
 
     spread = np.sqrt(np.maximum(np.diagonal(known.center_of_friction_covariance), 0.0))
@@ -83,12 +88,12 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
         (
             "center of friction",
             _point(known.center_of_friction, spread),
-            told(lambda true: _point(true.relative_friction() @ obj.p_BC)),
+            describe_true(lambda true: _point(true.relative_friction() @ obj.p_BC)),
         ),
         (
             "center of mass, estimate",
             _point(params.center_of_mass(obj)),
-            told(lambda true: _point(true.center_of_mass(obj))),
+            describe_true(lambda true: _point(true.center_of_mass(obj))),
         ),
         (
             "center of mass, possible",
@@ -98,19 +103,21 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
         (
             "contact friction",
             f"{params.contact_friction:.2f} ± {result.std.contact_friction:.2f}",
-            told(lambda true: f"{true.contact_friction:.2f}"),
+            describe_true(lambda true: f"{true.contact_friction:.2f}"),
         ),
         (
             "total mass",
             f"{params.total_mass:.3g} kg" + _describe_mass_source(result),
-            told(lambda true: f"{true.total_mass:.3g} kg"),
+            describe_true(lambda true: f"{true.total_mass:.3g} kg"),
         ),
-        ("left unexplained", f"{result.noise_std * MM:.2f} mm per axis", ""),
+        ("left unexplained", f"{result.noise_std * MM_PER_M:.2f} mm per axis", ""),
     ]
     if result.force is not None:
         friction = result.force.friction
         std = friction * result.force.relative_std
-        true_friction = told(lambda true: f"{GRAVITY * float(true.mass @ true.friction):.2f} N")
+        true_friction = describe_true(
+            lambda true: f"{GRAVITY * float(true.mass @ true.friction):.2f} N"
+        )
         rows.append(
             (
                 "friction with the table, of the measured forces",
@@ -119,13 +126,13 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
             )
         )
     if result.weighed is not None:
-        rows += _list_absolute(result.weighed, told, obj)
+        rows += _list_absolute(result.weighed, describe_true, obj)
     return rows
 
 
 def _list_absolute(
     absolute: AbsoluteEstimate,
-    told: Callable[[Callable[[CellParameters], str]], str],
+    describe_true: Callable[[Callable[[CellParameters], str]], str],
     obj: GridObject,
 ) -> list[Row]:
     """Lists what weighings say, each with the bounds that hold with a probability of 95 %."""
@@ -133,7 +140,7 @@ def _list_absolute(
         (
             "center of mass, weighed",
             _point(absolute.center_of_mass, absolute.center_std),
-            told(lambda true: _point(true.center_of_mass(obj))),
+            describe_true(lambda true: _point(true.center_of_mass(obj))),
         )
     ]
     if absolute.pushes:
@@ -142,7 +149,9 @@ def _list_absolute(
             (
                 "mean friction, of forces and weighings",
                 f"{absolute.friction:.3f}, {low:.3f} to {high:.3f}",
-                told(lambda true: f"{float(true.mass @ true.friction) / true.total_mass:.3f}"),
+                describe_true(
+                    lambda true: f"{float(true.mass @ true.friction) / true.total_mass:.3f}"
+                ),
             )
         )
     low, high = absolute.inertia_interval
@@ -150,7 +159,7 @@ def _list_absolute(
         (
             "inertia about the vertical axis",
             f"{absolute.inertia:.3g} kg m², {low:.3g} to {high:.3g} kg m²",
-            told(lambda true: f"{true.inertia(obj):.3g} kg m²"),
+            describe_true(lambda true: f"{true.inertia(obj):.3g} kg m²"),
         )
     )
     return rows
@@ -174,17 +183,20 @@ def list_tilt_tests(absolute: AbsoluteEstimate | None) -> list[tuple[str, ...]]:
         return []
     rows: list[tuple[str, ...]] = []
     for i, one in enumerate(absolute.tests):
-        x, y = (MM * value for value in one.place)
+        x, y = (MM_PER_M * value for value in one.place)
         judged = LINE_WORDS[one.line]
         if one.support_distance is not None:
-            judged += f", {one.support_distance * MM:.0f} mm inside the edge"
+            judged += f", {one.support_distance * MM_PER_M:.0f} mm inside the edge"
         if one.line == TiltingLine.EDGE and one.support_distance is not None:
-            judged = f"about the edge, after it rocked {one.support_distance * MM:.0f} mm inside it"
+            judged = (
+                f"about the edge, after it rocked {one.support_distance * MM_PER_M:.0f} mm inside "
+                "it"
+            )
         rows.append(
             (
                 str(i + 1),
                 f"x {x:.0f} mm, y {y:.0f} mm",
-                f"{one.arm * MM:.0f} mm",
+                f"{one.arm * MM_PER_M:.0f} mm",
                 f"{one.force:.2f} N",
                 f"{one.expected:.2f} N",
                 f"{one.residual:+.1f}",
@@ -200,7 +212,7 @@ def describe_making(result: Identification, log: PushLog, version: str) -> list[
         (
             "object",
             f"{speak_name(result.obj.name)}, {result.obj.n} cells of "
-            f"{result.obj.cell_size * MM:.1f} mm",
+            f"{result.obj.cell_size * MM_PER_M:.1f} mm",
         ),
         ("pushes", log.source or "given in memory"),
         ("method", result.method),
@@ -222,19 +234,22 @@ def _describe_hypotheses(result: Identification) -> list[tuple[str, str]]:
 
 
 def _describe_part(result: Identification, label: int, truth: CellParameters | None) -> Row:
-    """The share of the support's friction that a part carries."""
+    """The fraction of the support's friction that a part carries."""
     part = (result.obj.labels == label).astype(np.float64)
-    share = result.identifiability.relative_friction @ part
-    spread = np.sqrt(max(part @ result.posterior.calc_share_covariance() @ part, 0.0))
+    fraction = result.identifiability.relative_friction @ part
+    spread = np.sqrt(max(part @ result.posterior.calc_fraction_covariance() @ part, 0.0))
     true = "" if truth is None else f"{truth.relative_friction() @ part * 100:.0f} %"
-    return f"friction carried by part {label}", f"{share * 100:.0f} ± {spread * 100:.0f} %", true
+    return f"friction carried by part {label}", f"{fraction * 100:.0f} ± {spread * 100:.0f} %", true
 
 
 def _point(point: np.ndarray, spread: np.ndarray | None = None) -> str:
     """Writes a point (2,), m, in mm, and its standard deviations (2,), m, where they are known."""
     if spread is None:
-        return f"({point[0] * MM:.1f}, {point[1] * MM:.1f}) mm"
-    x, y = (f"{value * MM:.1f} ± {std * MM:.1f}" for value, std in zip(point, spread, strict=True))
+        return f"({point[0] * MM_PER_M:.1f}, {point[1] * MM_PER_M:.1f}) mm"
+    x, y = (
+        f"{value * MM_PER_M:.1f} ± {std * MM_PER_M:.1f}"
+        for value, std in zip(point, spread, strict=True)
+    )
     return f"({x}, {y}) mm"
 
 
@@ -242,7 +257,7 @@ def _range(low: float, high: float) -> str:
     """Writes a range, m, in mm."""
     if not np.isfinite([low, high]).all():
         return "not bounded"
-    return f"{low * MM:.0f} to {high * MM:.0f} mm"
+    return f"{low * MM_PER_M:.0f} to {high * MM_PER_M:.0f} mm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,17 +281,17 @@ class ReportSummary:
     steps: Sequence[tuple[str, ...]]
 
 
-TEMPLATE = "report.html.j2"
+PAGE_TEMPLATE = "report.html.j2"
 """File with the page, to be filled in."""
 
-STYLE = "style.css"
+STYLE_FILE = "style.css"
 """File with the style of all pages."""
 
 MIN_HYPOTHESIS_WEIGHT = 0.01
-"""Smallest share of the estimate with which a hypothesis of the loads is named in the report."""
+"""Smallest fraction of the estimate with which a hypothesis of the loads is named in the report."""
 
-SIMILAR = 0.05
-"""Two errors are called about the same if they differ by less than this share."""
+SIMILAR_FRACTION = 0.05
+"""Two errors are called about the same if they differ by less than this fraction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +308,7 @@ class _Comparison:
     held_out: bool
     errors_before: list[ErrorSummary]
     errors_after: list[ErrorSummary]
-    outcomes: list[Outcome]
+    outcomes: list[PushOutcome]
 
     @property
     def cell(self) -> tuple[float, float]:
@@ -313,9 +328,9 @@ def make_report(
     truth: CellParameters | None = None,
     learning: Sequence[float] | None = None,
     summary: ReportSummary | None = None,
-    sight: Sight | None = None,
+    camera_view: CameraView | None = None,
     progress: Progress | None = None,
-    expectations: Sequence[Expectation] = (),
+    expectations: Sequence[ExpectedUncertainty] = (),
     recording: str | None = None,
 ) -> str:
     """Makes the report.
@@ -328,7 +343,7 @@ def make_report(
         learning: mean cell error of the held-out pushes, m, before the first push and after each;
             None where nobody followed it.
         summary: what a robot did with the object; None where it only looked.
-        sight: what its camera saw; None where it was told the object and its poses.
+        camera_view: what its camera saw; None where it was told the object and its poses.
         progress: what was known after each push; None where nobody followed it.
         expectations: of pokes, for the figure of the progress.
         recording: the file with the recording of the run, as seen from the report; None without.
@@ -357,7 +372,7 @@ def make_report(
     figures |= {
         "learning": embed(draw_learning(learning, floor)) if learning else None,
         "summary": None if summary is None else embed(summary.figure),
-        "sight": None if sight is None else embed(draw_sight(sight)),
+        "sight": None if camera_view is None else embed(draw_camera_view(camera_view)),
         "progress": None if progress is None else embed(draw_progress(progress, expectations)),
         "tilt_tests": embed(draw_tilt_tests(obj, tests)) if tests else None,
     }
@@ -368,14 +383,14 @@ def make_report(
         headline = summary.headline
         facts = summary.facts
     return render(
-        TEMPLATE,
+        PAGE_TEMPLATE,
         name=speak_name(obj.name),
         headline=headline,
         message=identification.message,
-        doubt=doubt_center(identification) if identification.push_names else None,
+        conflict=describe_center_conflict(identification) if identification.push_names else None,
         facts=facts,
         summary=summary,
-        sight=None if sight is None else describe_sight(sight),
+        sight=None if camera_view is None else describe_camera_view(camera_view),
         figures=figures,
         predicted="" if progress is None else progress.describe(),
         expected=bool(expectations),
@@ -391,7 +406,7 @@ def make_report(
         statements=identification.identifiability.statements,
         tilt_tests=list_tilt_tests(identification.absolute),
         agreement=1.0 if identification.absolute is None else identification.absolute.agreement,
-        doubt_below=DOUBT,
+        min_fit_probability=MIN_FIT_PROBABILITY,
         numbers=list_numbers(identification, truth),
         making=describe_making(identification, log, __version__),
     )
@@ -403,7 +418,7 @@ def _draw_figures(
     held_out: PushLog | None,
     truth: CellParameters | None,
     before: float,
-    outcomes: list[Outcome],
+    outcomes: list[PushOutcome],
 ) -> dict[str, str | None]:
     """Draws all figures as data URIs; None where there is nothing to draw."""
     figures = {
@@ -430,7 +445,7 @@ def _compare(result: Identification, log: PushLog, held_out: bool) -> _Compariso
         error_before = errors_before[i]
         error_after = errors_after[i]
         if error_before is not None and error_after is not None:
-            outcome = Outcome(
+            outcome = PushOutcome(
                 seen=seen,
                 before=before[i].at_observations[-1],
                 after=after[i].at_observations[-1],
@@ -457,12 +472,13 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
     if result.status == IdentificationStatus.EXPLAINS_LITTLE:
         return (
             f"This model of the {name} should not be used. Where {which} end, it is off by "
-            f"{after * MM:.1f} mm on average, and an even object by {before * MM:.1f} mm."
+            f"{after * MM_PER_M:.1f} mm on average, and an even object by {before * MM_PER_M:.1f} "
+            "mm."
         )
     if result.status == IdentificationStatus.PRIOR_KEPT:
         return (
             "These pushes gave no reason to leave the assumption of an even object: predictions of "
-            f"{which} are off by {after * MM:.1f} mm on average."
+            f"{which} are off by {after * MM_PER_M:.1f} mm on average."
         )
     count = len(result.push_names)
     spent = (
@@ -472,13 +488,13 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
     )
     pushes = "push" if count == 1 else "pushes"
     learned = f"{spent}After {count} {pushes}, the model predicts where {which} leave the {name}"
-    if after > (1 - SIMILAR) * before:
+    if after > (1 - SIMILAR_FRACTION) * before:
         return (
-            f"{learned} to {after * MM:.1f} mm on average, about as well as assuming an even "
-            f"object ({before * MM:.1f} mm)."
+            f"{learned} to {after * MM_PER_M:.1f} mm on average, about as well as assuming an even "
+            f"object ({before * MM_PER_M:.1f} mm)."
         )
-    off = f"it is off by {before * MM:.1f} mm."
-    return f"{learned} to {after * MM:.1f} mm on average; assuming an even object, {off}"
+    off = f"it is off by {before * MM_PER_M:.1f} mm."
+    return f"{learned} to {after * MM_PER_M:.1f} mm on average; assuming an even object, {off}"
 
 
 def _list_facts(
@@ -491,8 +507,8 @@ def _list_facts(
         facts.append(("pushes held out", str(len(held_out))))
     if np.isfinite(after):
         facts += [
-            ("error, even object", f"{before * MM:.1f} mm"),
-            ("error, learned", f"{after * MM:.1f} mm"),
+            ("error, even object", f"{before * MM_PER_M:.1f} mm"),
+            ("error, learned", f"{after * MM_PER_M:.1f} mm"),
         ]
     return facts
 
@@ -523,7 +539,7 @@ def render(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(style=read_template(STYLE), **values)
+    return environment.get_template(template).render(style=read_template(STYLE_FILE), **values)
 
 
 def read_template(name: str) -> str:

@@ -19,20 +19,19 @@ from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.push_plan import PushPlan
-from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
+from gridpush_drake.planning.pregrasp.grasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlan
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_support_polygon
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import (
-    BEFORE,
-    FAINT,
-    FONT,
-    INK,
-    LEARNED,
-    MM,
+    FAINT_COLOR,
+    FONT_SIZE,
+    INK_COLOR,
+    LEARNED_COLOR,
     PAGE_WIDTH,
+    PRIOR_COLOR,
     add_legend_below,
     draw_arrow,
     draw_cells,
@@ -45,17 +44,18 @@ from gridpush_drake.report.draw import (
     make_grid,
     tidy,
 )
+from gridpush_drake.units import MM_PER_M
 
-HOLDS = "#4f9d69"
+HOLDING_COLOR = "#4f9d69"
 """Color of what holds the object."""
 
-GRASP = "#b3423f"
+GRASP_COLOR = "#b3423f"
 """Color of what the gripper takes."""
 
-OBSTACLE = "#c7bdb0"
+OBSTACLE_COLOR = "#c7bdb0"
 """Color of what is in the way."""
 
-WIDTH = 6.5
+FIGURE_WIDTH = 6.5
 """Width of a plan's figure, inches."""
 
 MAX_HEIGHT = 7.5
@@ -67,7 +67,7 @@ LEGEND_ROOM = 0.7
 PANEL_HEIGHT = 4.4
 """Height of figures with two panels, inches."""
 
-ROOM = 0.05
+FIGURE_MARGIN = 0.05
 """Room about what is drawn, m."""
 
 CLOSE_UP = 0.06
@@ -104,18 +104,20 @@ def draw_plan(
     ]
     if surface is not None:
         points.append(surface.corners)
-    width, height = np.ptp(np.concatenate(points), axis=0) + 2 * ROOM
-    figure, ax = make_chart(WIDTH, min(WIDTH * height / width, MAX_HEIGHT) + LEGEND_ROOM)
+    width, height = np.ptp(np.concatenate(points), axis=0) + 2 * FIGURE_MARGIN
+    figure, ax = make_chart(
+        FIGURE_WIDTH, min(FIGURE_WIDTH * height / width, MAX_HEIGHT) + LEGEND_ROOM
+    )
     for shape in shapes:
-        ax.add_patch(Polygon(shape, facecolor=OBSTACLE, edgecolor=INK, zorder=0.5))
+        ax.add_patch(Polygon(shape, facecolor=OBSTACLE_COLOR, edgecolor=INK_COLOR, zorder=0.5))
     _draw_pushes(ax, obj, poses, pushes, plan.goal, surface, "predicted end")
-    frame_points(ax, points, ROOM)
+    frame_points(ax, points, FIGURE_MARGIN)
     count = f"{len(pushes)} push{'' if len(pushes) == 1 else 'es'}"
     words = plan.status.replace("_", " ")
     ax.set_title(
-        f"{speak_name(obj.name)}: {words}, {count}, {plan.error * MM:.1f} mm left",
-        fontsize=FONT,
-        color=INK,
+        f"{speak_name(obj.name)}: {words}, {count}, {plan.error * MM_PER_M:.1f} mm left",
+        fontsize=FONT_SIZE,
+        color=INK_COLOR,
     )
     return figure
 
@@ -152,8 +154,8 @@ def draw_push_run(
     ax = axes[0, 0]
     _draw_pushes(ax, obj, rest, pushes, aim, surface, "at the end")
     cells = obj.cells_at(np.vstack([rest, aim])).reshape(-1, 2)
-    frame_points(ax, [cells, *(push.xy for push in pushes)], ROOM)
-    ax.set_title("The path to the goal", fontsize=FONT, color=INK)
+    frame_points(ax, [cells, *(push.xy for push in pushes)], FIGURE_MARGIN)
+    ax.set_title("The path to the goal", fontsize=FONT_SIZE, color=INK_COLOR)
     _draw_errors(axes[0, 1], np.atleast_1d(calc_goal_error(obj, rest, aim)), expected, tolerance)
     return figure
 
@@ -174,15 +176,15 @@ def _draw_pushes(
     _draw_outlines(ax, obj, poses, surface)
     if len(poses) > 1:
         draw_cells(ax, obj, pose=poses[-1], alpha=0.7)
-    draw_outline(ax, obj, pose=goal, color=BEFORE, linestyle="dotted").set_zorder(4)
+    draw_outline(ax, obj, pose=goal, color=PRIOR_COLOR, linestyle="dotted").set_zorder(4)
     for count, push in enumerate(pushes, start=1):
-        draw_numbered_push(ax, push, count, LEARNED)
+        draw_numbered_push(ax, push, count, LEARNED_COLOR)
     handles = [
-        Line2D([], [], color=INK, linestyle="dashed", label="start"),
-        Line2D([], [], color=FAINT, label="in between"),
-        Line2D([], [], color=INK, label=end),
-        Line2D([], [], color=BEFORE, linestyle="dotted", label="goal"),
-        Line2D([], [], color=LEARNED, marker="o", markerfacecolor="white", label="pushes"),
+        Line2D([], [], color=INK_COLOR, linestyle="dashed", label="start"),
+        Line2D([], [], color=FAINT_COLOR, label="in between"),
+        Line2D([], [], color=INK_COLOR, label=end),
+        Line2D([], [], color=PRIOR_COLOR, linestyle="dotted", label="goal"),
+        Line2D([], [], color=LEARNED_COLOR, marker="o", markerfacecolor="white", label="pushes"),
     ]
     add_legend_below(ax, handles, 3)
 
@@ -197,33 +199,35 @@ def _draw_outlines(
     if surface is not None:
         draw_table(ax, surface.corners)
     for pose in poses[1:-1]:
-        draw_outline(ax, obj, pose=pose, color=FAINT)
-    draw_outline(ax, obj, pose=poses[0], color=INK, linestyle="dashed")
+        draw_outline(ax, obj, pose=pose, color=FAINT_COLOR)
+    draw_outline(ax, obj, pose=poses[0], color=INK_COLOR, linestyle="dashed")
 
 
 def _draw_errors(
     ax: Axes, errors: Array, expected: Sequence[float], tolerance: float | None
 ) -> None:
     """Draws the errors to the goal (P+1,), seen and expected, m, and the tolerance, m."""
-    ax.plot(np.arange(len(errors)), MM * errors, color=LEARNED, marker="o", zorder=3)
-    handles = [Line2D([], [], color=LEARNED, marker="o", label="seen")]
+    ax.plot(np.arange(len(errors)), MM_PER_M * errors, color=LEARNED_COLOR, marker="o", zorder=3)
+    handles = [Line2D([], [], color=LEARNED_COLOR, marker="o", label="seen")]
     if len(expected):
         marks: dict[str, Any] = {
-            "color": BEFORE,
+            "color": PRIOR_COLOR,
             "marker": "D",
             "markerfacecolor": "white",
             "linestyle": "none",
         }
-        ax.plot(np.arange(1, len(expected) + 1), MM * np.asarray(expected), zorder=4, **marks)
+        ax.plot(np.arange(1, len(expected) + 1), MM_PER_M * np.asarray(expected), zorder=4, **marks)
         handles.append(Line2D([], [], label="expected", **marks))
     if tolerance is not None:
-        ax.axhline(MM * tolerance, color=FAINT, linestyle="dashed", linewidth=1.2, zorder=2)
-        handles.append(Line2D([], [], color=FAINT, linestyle="dashed", label="near enough"))
+        ax.axhline(
+            MM_PER_M * tolerance, color=FAINT_COLOR, linestyle="dashed", linewidth=1.2, zorder=2
+        )
+        handles.append(Line2D([], [], color=FAINT_COLOR, linestyle="dashed", label="near enough"))
     ax.set_ylim(bottom=0.0)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     tidy(ax, "pushes made", "mean cell error to the goal, mm")
     add_legend_below(ax, handles, 3)
-    ax.set_title("How far it was from the goal", fontsize=FONT, color=INK)
+    ax.set_title("How far it was from the goal", fontsize=FONT_SIZE, color=INK_COLOR)
 
 
 def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan) -> Figure:
@@ -241,13 +245,15 @@ def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGras
     _draw_outlines(ax, planner.obj, plan.poses, planner.surface)
     draw_cells(ax, planner.obj, pose=plan.poses[-1])
     for push in plan.pushes:
-        draw_tips(ax, push, LEARNED)
+        draw_tips(ax, push, LEARNED_COLOR)
     if plan.poke is not None:
-        draw_tips(ax, plan.poke, BEFORE)
+        draw_tips(ax, plan.poke, PRIOR_COLOR)
     frame_points(ax, [planner.surface.corners], CLOSE_UP)
     count = len(plan.pushes)
     ax.set_title(
-        f"{plan.status}: {count} push{'' if count == 1 else 'es'}", fontsize=FONT, color=INK
+        f"{plan.status}: {count} push{'' if count == 1 else 'es'}",
+        fontsize=FONT_SIZE,
+        color=INK_COLOR,
     )
     _draw_goal(axes[0, 1], planner, masses, plan)
     return figure
@@ -260,15 +266,15 @@ def _draw_goal(
     goal = plan.goal
     if goal is None:
         ax.set_axis_off()
-        ax.set_title("no goal", fontsize=FONT, color=INK)
+        ax.set_title("no goal", fontsize=FONT_SIZE, color=INK_COLOR)
         return
     draw_table(ax, planner.surface.corners)
     draw_cells(ax, planner.obj, pose=goal.pose, alpha=0.6)
     hull = calc_support_polygon(planner.obj, goal.pose, planner.surface, planner.options.goal.inset)
     areas = (
-        (hull, HOLDS, "what holds it"),
-        (masses.center_of_mass_polygon, BEFORE, "where the center of mass may be"),
-        (goal.part.footprint, GRASP, "gripper"),
+        (hull, HOLDING_COLOR, "what holds it"),
+        (masses.center_of_mass_polygon, PRIOR_COLOR, "where the center of mass may be"),
+        (goal.part.footprint, GRASP_COLOR, "gripper"),
     )
     handles = _draw_areas(ax, goal.pose, areas)
     frame_points(
@@ -276,9 +282,11 @@ def _draw_goal(
     )
     add_legend_below(ax, handles, 2)
     flat = isinstance(goal.part, FlatPart)
-    how = "taken by the rim" if flat else f"{goal.part.width * MM:.0f} mm between the jaws"
-    room = f"{abs(goal.margin) * MM:.0f} mm {'to spare' if goal.margin >= 0 else 'too little'}"
-    ax.set_title(f"at the worst {room},\n{how}", fontsize=FONT, color=INK)
+    how = "taken by the rim" if flat else f"{goal.part.width * MM_PER_M:.0f} mm between the jaws"
+    room = (
+        f"{abs(goal.margin) * MM_PER_M:.0f} mm {'to spare' if goal.margin >= 0 else 'too little'}"
+    )
+    ax.set_title(f"at the worst {room},\n{how}", fontsize=FONT_SIZE, color=INK_COLOR)
 
 
 class PushDrawn(NamedTuple):
@@ -335,19 +343,19 @@ def draw_pre_grasp(
     _draw_outlines(ax, obj, poses, surface)
     draw_cells(ax, obj, pose=poses[-1])
     for push in pushes:
-        draw_arrow(ax, push.start, push.end, BEFORE if push.poke else LEARNED)
+        draw_arrow(ax, push.start, push.end, PRIOR_COLOR if push.poke else LEARNED_COLOR)
     frame_points(
         ax,
         [*(obj.cells_at(pose) for pose in poses), *(np.array([p.start, p.end]) for p in pushes)],
         CLOSE_UP,
     )
     handles = [
-        Line2D([], [], color=INK, linestyle="dashed", label="start"),
-        Line2D([], [], color=BEFORE, marker=">", label="pokes"),
-        Line2D([], [], color=LEARNED, marker=">", label="slides"),
+        Line2D([], [], color=INK_COLOR, linestyle="dashed", label="start"),
+        Line2D([], [], color=PRIOR_COLOR, marker=">", label="pokes"),
+        Line2D([], [], color=LEARNED_COLOR, marker=">", label="slides"),
     ]
     add_legend_below(ax, handles, 2)
-    ax.set_title("The path to the table's edge", fontsize=FONT, color=INK)
+    ax.set_title("The path to the table's edge", fontsize=FONT_SIZE, color=INK_COLOR)
     _draw_end(axes[0, 1], obj, surface, poses[-1], masses, truth, grasp)
     return figure
 
@@ -369,35 +377,44 @@ def _draw_end(
     handles = _draw_areas(
         ax,
         pose,
-        ((hull, HOLDS, "what holds it"), (possible, BEFORE, "where its center of mass may be")),
+        (
+            (hull, HOLDING_COLOR, "what holds it"),
+            (possible, PRIOR_COLOR, "where its center of mass may be"),
+        ),
     )
     if truth is not None:
         (at,) = transform(pose, truth.center_of_mass(obj)[None])
         ax.plot(
             *at,
             marker="x",
-            color=INK,
+            color=INK_COLOR,
             markersize=7,
             markeredgewidth=1.8,
             linestyle="none",
             zorder=6,
         )
         handles.append(
-            Line2D([], [], color=INK, marker="x", linestyle="none", label="where it truly is")
+            Line2D([], [], color=INK_COLOR, marker="x", linestyle="none", label="where it truly is")
         )
     points = [obj.cells_at(pose)]
     if grasp is not None:
         jaw = _make_jaw(grasp)
-        ax.add_patch(Polygon(jaw, facecolor=f"{GRASP}55", edgecolor=GRASP, linewidth=1.2, zorder=4))
-        ax.add_patch(Circle((grasp.point[0], grasp.point[1]), JAW_WIDTH / 4, color=GRASP, zorder=5))
-        handles.append(Line2D([], [], color=GRASP, label="gripper"))
+        ax.add_patch(
+            Polygon(
+                jaw, facecolor=f"{GRASP_COLOR}55", edgecolor=GRASP_COLOR, linewidth=1.2, zorder=4
+            )
+        )
+        ax.add_patch(
+            Circle((grasp.point[0], grasp.point[1]), JAW_WIDTH / 4, color=GRASP_COLOR, zorder=5)
+        )
+        handles.append(Line2D([], [], color=GRASP_COLOR, label="gripper"))
         points.append(jaw)
     frame_points(ax, points, CLOSE_UP)
     add_legend_below(ax, handles, 2)
     ax.set_title(
         "Where it was grasped" if grasp is not None else "Where it lay at the end",
-        fontsize=FONT,
-        color=INK,
+        fontsize=FONT_SIZE,
+        color=INK_COLOR,
     )
 
 

@@ -24,23 +24,23 @@ from gridpush_drake.planning.exploration.designed_pokes import calc_center_std
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.draw import (
-    BEFORE,
-    FONT,
-    INK,
-    LEARNED,
-    MM,
+    FONT_SIZE,
+    INK_COLOR,
+    LEARNED_COLOR,
     PAGE_WIDTH,
+    PRIOR_COLOR,
     add_legend_below,
     make_grid,
     tidy,
 )
+from gridpush_drake.units import MM_PER_M
 
 PANEL_HEIGHT = 3.3
 """Height of the figure, inches."""
 
 
 @dataclass(frozen=True)
-class Expectation:
+class ExpectedUncertainty:
     """What a push was expected to leave unknown.
 
     Attributes:
@@ -78,8 +78,8 @@ class Progress:
         """Says the errors in a sentence; empty where no push was predicted."""
         if not len(self.predicted):
             return ""
-        error = self.predicted.mean() * MM
-        even = self.even.mean() * MM
+        error = self.predicted.mean() * MM_PER_M
+        even = self.even.mean() * MM_PER_M
         return (
             f"On average these predictions were off by {error:.1f} mm; those of an even object "
             f"would have been off by {even:.1f} mm."
@@ -132,7 +132,7 @@ def calc_progress(
     )
 
 
-def draw_progress(progress: Progress, expectations: Sequence[Expectation] = ()) -> Figure:
+def draw_progress(progress: Progress, expectations: Sequence[ExpectedUncertainty] = ()) -> Figure:
     """Draws how well the center of mass was known, and how well each push was predicted."""
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
     _draw_center(axes[0, 0], progress, expectations)
@@ -140,45 +140,51 @@ def draw_progress(progress: Progress, expectations: Sequence[Expectation] = ()) 
     return figure
 
 
-def _draw_center(ax: Axes, progress: Progress, expectations: Sequence[Expectation]) -> None:
+def _draw_center(ax: Axes, progress: Progress, expectations: Sequence[ExpectedUncertainty]) -> None:
     """Draws the center of mass's standard deviation, expected and found, and its true error."""
-    ax.plot(progress.pushes, progress.center_std * MM, "o-", color=LEARNED, markersize=5)
-    handles = [Line2D([], [], color=LEARNED, marker="o", label="standard deviation")]
+    ax.plot(
+        progress.pushes, progress.center_std * MM_PER_M, "o-", color=LEARNED_COLOR, markersize=5
+    )
+    handles = [Line2D([], [], color=LEARNED_COLOR, marker="o", label="standard deviation")]
     if expectations:
         marks: dict[str, Any] = {
-            "color": BEFORE,
+            "color": PRIOR_COLOR,
             "marker": "D",
             "markerfacecolor": "white",
             "linestyle": "none",
         }
         at = [one.pushes for one in expectations]
-        ax.plot(at, [one.center_std * MM for one in expectations], **marks)
+        ax.plot(at, [one.center_std * MM_PER_M for one in expectations], **marks)
         handles.append(Line2D([], [], label="expected before the poke", **marks))
     if len(progress.center_error):
-        ax.plot(progress.pushes, progress.center_error * MM, "x--", color=INK, markersize=5)
+        ax.plot(
+            progress.pushes, progress.center_error * MM_PER_M, "x--", color=INK_COLOR, markersize=5
+        )
         handles.append(
-            Line2D([], [], color=INK, marker="x", linestyle="dashed", label="true error")
+            Line2D([], [], color=INK_COLOR, marker="x", linestyle="dashed", label="true error")
         )
     ax.set_ylim(bottom=0)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     tidy(ax, "pushes learned from", "mm")
-    ax.set_title("How well the center of mass is known", fontsize=FONT, color=INK)
+    ax.set_title("How well the center of mass is known", fontsize=FONT_SIZE, color=INK_COLOR)
     add_legend_below(ax, handles, 2)
 
 
 def _draw_predicted(ax: Axes, progress: Progress) -> None:
     """Draws the errors of the pushes that were predicted, and those of an even object."""
     at = np.arange(1, len(progress.names) + 1)
-    ax.plot(at, progress.even * MM, "o--", color=BEFORE, markersize=5)
-    ax.plot(at, progress.predicted * MM, "o-", color=LEARNED, markersize=5)
+    ax.plot(at, progress.even * MM_PER_M, "o--", color=PRIOR_COLOR, markersize=5)
+    ax.plot(at, progress.predicted * MM_PER_M, "o-", color=LEARNED_COLOR, markersize=5)
     handles = [
-        Line2D([], [], color=BEFORE, marker="o", linestyle="dashed", label="even object"),
-        Line2D([], [], color=LEARNED, marker="o", label="from the pushes before"),
+        Line2D([], [], color=PRIOR_COLOR, marker="o", linestyle="dashed", label="even object"),
+        Line2D([], [], color=LEARNED_COLOR, marker="o", label="from the pushes before"),
     ]
     ax.set_ylim(bottom=0)
     ax.set_xticks(at, [name.replace("_", " ") for name in progress.names], rotation=90)
     tidy(ax, "", "mean cell error, mm")
-    ax.set_title("Each push, predicted before it was learned from", fontsize=FONT, color=INK)
+    ax.set_title(
+        "Each push, predicted before it was learned from", fontsize=FONT_SIZE, color=INK_COLOR
+    )
     add_legend_below(ax, handles, 1)
 
 

@@ -12,17 +12,17 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import count
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.report.draw import MM
 from gridpush_drake.report.figures import draw_model, draw_scene_motion
 from gridpush_drake.report.page import embed, list_numbers, render
+from gridpush_drake.units import MM_PER_M
 
-TEMPLATE = "scene_report.html.j2"
+SCENE_TEMPLATE = "scene_report.html.j2"
 """File with the page, to be filled in."""
 
 MAX_PUSHES = 12
 """Most pushes that are drawn."""
 
-SIGMAS = 1.96
+INTERVAL_SIGMAS = 1.96
 """Standard deviations from a value to the ends of its 95 % interval."""
 
 NOT_SHOWN = "; hardly more is known than before the pushes"
@@ -48,15 +48,15 @@ def make_scene_report(
         motion = simulate_together(found, seen.push, seen.pose)
         figure = draw_scene_motion(found.objects, seen.push, motion.poses, seen.final_pose)
         errors = ", ".join(
-            f"{name} {error * MM:.1f} mm"
+            f"{name} {error * MM_PER_M:.1f} mm"
             for name, error in zip(log.names, found.errors[i], strict=True)
         )
         drawn.append({"name": seen.name, "figure": embed(figure), "errors": errors})
     names = ", ".join(log.names[:-1]) + f" and {log.names[-1]}" if len(log.names) > 1 else "one"
-    before = float(found.errors_before.mean()) * MM
-    after = float(found.errors.mean()) * MM
+    before = float(found.errors_before.mean()) * MM_PER_M
+    after = float(found.errors.mean()) * MM_PER_M
     return render(
-        TEMPLATE,
+        SCENE_TEMPLATE,
         names=names.replace("_", " "),
         headline=(
             f"With what was learned, the objects end {after:.1f} mm from where they were seen; as "
@@ -116,7 +116,7 @@ def list_scene_numbers(found: JointIdentification, names: Sequence[str]) -> list
         center, covariance = found.calc_center(b)
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         x, y = (
-            f"{value * MM:.1f} ± {spread * MM:.1f} mm"
+            f"{value * MM_PER_M:.1f} ± {spread * MM_PER_M:.1f} mm"
             for value, spread in zip(center, std, strict=True)
         )
         rows.append((f"center of friction of {name}, body frame", f"x {x}, y {y}"))
@@ -126,10 +126,10 @@ def list_scene_numbers(found: JointIdentification, names: Sequence[str]) -> list
             ratio += NOT_SHOWN
         rows.append((f"friction on the table, {names[b]} to {names[0]}", ratio))
     spreads = found.calc_pair_friction_std()
-    told = found.shows_pair_friction()
+    informed = found.shows_pair_friction()
     for p, (i, j) in enumerate(combinations(range(len(names)), 2)):
         friction = _describe_factor(float(np.log(found.pair_friction[i, j])), spreads[p])
-        if not told[p]:
+        if not informed[p]:
             friction += NOT_SHOWN
         rows.append((f"friction of {names[i]} and {names[j]}", friction))
     return rows
@@ -137,7 +137,7 @@ def list_scene_numbers(found: JointIdentification, names: Sequence[str]) -> list
 
 def _describe_factor(log: float, std: float) -> str:
     """Writes a factor whose logarithm is known so well, with its 95 % interval."""
-    low, high = np.exp([log - SIGMAS * std, log + SIGMAS * std])
+    low, high = np.exp([log - INTERVAL_SIGMAS * std, log + INTERVAL_SIGMAS * std])
     return f"{np.exp(log):.2f} ({low:.2f} to {high:.2f})"
 
 
@@ -154,8 +154,8 @@ def explain_scene(
     lines = []
     for name, model in zip(names, models, strict=True):
         lines.append(f"{name}: {count(model.obj.n, 'cell')}. {model.message}")
-    before = found.errors_before.mean() * MM
-    after = found.errors.mean() * MM
+    before = found.errors_before.mean() * MM_PER_M
+    after = found.errors.mean() * MM_PER_M
     lines.append(f"cell error of these pushes: {after:.2f} mm; {before:.2f} mm with even objects")
     lines += [f"{name}: {value}" for name, value in list_scene_numbers(found, names)]
     if found.unexplained:
@@ -202,9 +202,9 @@ def tell_scene(found: JointIdentification, names: Sequence[str]) -> dict[str, An
                 "objects": [names[i], names[j]],
                 "friction": float(found.pair_friction[i, j]),
                 "log_std": float(spread),
-                "told": bool(told),
+                "told": bool(informed),
             }
-            for (i, j), spread, told in zip(
+            for (i, j), spread, informed in zip(
                 pairs, spreads, found.shows_pair_friction(), strict=True
             )
         ],

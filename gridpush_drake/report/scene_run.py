@@ -11,13 +11,12 @@ from matplotlib.transforms import ScaledTranslation
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import (
-    FAINT,
-    FONT,
-    INK,
+    FAINT_COLOR,
+    FONT_SIZE,
+    INK_COLOR,
     PAGE_WIDTH,
     PART_COLORS,
     add_legend_below,
@@ -30,17 +29,18 @@ from gridpush_drake.report.draw import (
     tidy,
 )
 from gridpush_drake.report.page import ReportSummary, embed, render
+from gridpush_drake.units import MM_PER_M
 
 PANEL_HEIGHT = 4.4
 """Height of the panels, inches."""
 
-ROOM = 0.05
+FIGURE_MARGIN = 0.05
 """Room about what is drawn, m."""
 
-LINE = 2.0
+MEASURED_LINE_WIDTH = 2.0
 """Width of the lines of what was measured, points."""
 
-MARKER = 4.5
+MARKER_SIZE = 4.5
 """Size of their markers, points."""
 
 POINTS_PER_INCH = 72.0
@@ -49,7 +49,7 @@ POINTS_PER_INCH = 72.0
 LEGEND_COLUMNS = 3
 """Columns of a legend."""
 
-TEMPLATE = "scene_run.html.j2"
+SCENE_RUN_TEMPLATE = "scene_run.html.j2"
 """File with the page, to be filled in."""
 
 
@@ -75,7 +75,7 @@ def make_scene_report(
         An HTML page that needs nothing else.
     """
     return render(
-        TEMPLATE,
+        SCENE_RUN_TEMPLATE,
         name=name,
         summary=summary,
         figure=embed(summary.figure),
@@ -125,17 +125,17 @@ def draw_scene_run(
     shown = [push.xy for push in pushes]
     for b, obj in enumerate(objects):
         for pose in poses[1:-1, b]:
-            draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.3)
-        draw_outline(ax, obj, pose=poses[0, b], color=FAINT, linestyle="dashed")
+            draw_outline(ax, obj, pose=pose, color=FAINT_COLOR, alpha=0.3)
+        draw_outline(ax, obj, pose=poses[0, b], color=FAINT_COLOR, linestyle="dashed")
         draw_cells(ax, obj, pose=poses[-1, b]).set_facecolor(colors[b])
         shown.append(obj.cells_at(poses[[0, -1], b]).reshape(-1, 2))
         if goals is not None and np.isfinite(goals[b]).all():
-            draw_outline(ax, obj, pose=goals[b], color=INK, linestyle="dotted")
+            draw_outline(ax, obj, pose=goals[b], color=INK_COLOR, linestyle="dotted")
             shown.append(obj.cells_at(goals[b]))
     for number, push in enumerate(pushes, start=1):
-        draw_numbered_push(ax, push, number, INK)
-    frame_points(ax, shown, ROOM)
-    ax.set_title("Dashed at first, filled at the end", fontsize=FONT, color=INK)
+        draw_numbered_push(ax, push, number, INK_COLOR)
+    frame_points(ax, shown, FIGURE_MARGIN)
+    ax.set_title("Dashed at first, filled at the end", fontsize=FONT_SIZE, color=INK_COLOR)
     add_legend_below(ax, handles, LEGEND_COLUMNS)
 
     # What was measured.
@@ -143,14 +143,14 @@ def draw_scene_run(
     for b, color in enumerate(colors):
         # Two objects that lie nearest to each other have the same room. Their lines would lie on
         # each other, so that each is drawn beside the one before, a line's width higher.
-        beside = (b - (len(colors) - 1) / 2) * LINE / POINTS_PER_INCH
+        beside = (b - (len(colors) - 1) / 2) * MEASURED_LINE_WIDTH / POINTS_PER_INCH
         (line,) = ax.plot(
             np.arange(len(values)),
-            MM * values[:, b],
+            MM_PER_M * values[:, b],
             color=color,
-            linewidth=LINE,
+            linewidth=MEASURED_LINE_WIDTH,
             marker="o",
-            markersize=MARKER,
+            markersize=MARKER_SIZE,
             zorder=3,
         )
         # set only now: the axes find their limits by lines whose places are plain data
@@ -158,9 +158,11 @@ def draw_scene_run(
         line.set_transform(ax.transData + up)
     words, wanted = measured
     if wanted is not None:
-        ax.axhline(MM * wanted, color=FAINT, linestyle="dashed", linewidth=1.2, zorder=2)
+        ax.axhline(
+            MM_PER_M * wanted, color=FAINT_COLOR, linestyle="dashed", linewidth=1.2, zorder=2
+        )
     ax.set_ylim(bottom=0.0)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     tidy(ax, "pushes made", f"{words}, mm")
-    ax.set_title(words.capitalize(), fontsize=FONT, color=INK)
+    ax.set_title(words.capitalize(), fontsize=FONT_SIZE, color=INK_COLOR)
     return figure

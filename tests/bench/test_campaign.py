@@ -15,38 +15,40 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from gridpush_drake.bench.campaign import (
-    BROKEN,
-    DROPPED,
+from gridpush_drake.cli.run.demo import demo
+from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.jobs.executor import LostJobsError
+from gridpush_drake.jobs.results import open_results
+from gridpush_drake.jobs.run import Execution
+from gridpush_drake.planning.scene.joint_loop import SceneMode, SceneStatus
+from gridpush_drake.station.campaign.episodes import (
+    BROKEN_STATUS,
+    DROPPED_OUTCOME,
     GAVE_UP,
     NOT_LIFTED,
-    RECORDINGS,
-    REFUSED,
+    RECORDINGS_FOLDER,
+    REFUSED_STATUS,
     Campaign,
-    Episode,
     EpisodeJob,
-    Share,
+    EpisodeOutcome,
+    Proportion,
     describe_settings,
     drop_recordings,
     run,
     run_episode,
 )
-from gridpush_drake.bench.executor import LostJobsError
-from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.results import open_results
-from gridpush_drake.cli.demo import demo
-from gridpush_drake.errors import GridPushError, OutputError
-from gridpush_drake.planning.scene.joint_loop import SceneMode, SceneStatus
-from gridpush_drake.station.robot import make_robot_directives
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import format_scenario, read_scenario
-from gridpush_drake.station.scene_task import SceneTaskRecord
-from gridpush_drake.station.task import TaskStatus, TaskStep
-from gridpush_drake.station.tasks import TASKS, TaskName
-from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.station.robot.robot import make_robot_directives
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import format_scenario, read_scenario
+from gridpush_drake.station.tasks.registry import TASK_KINDS, TaskName
+from gridpush_drake.station.tasks.scene_task import SceneTaskRecord
+from gridpush_drake.station.tasks.task import TaskStatus, TaskStep
+from gridpush_drake.systems.base.messages import PushCommand
 from tests.helpers.command_line import run_gridpush
 
-HELD = Episode("pliers", 0, "held", "It was lifted.", "held", 5, 3, 2, 0.1, 0.002, 60.0, 30.0)
+HELD = EpisodeOutcome(
+    "pliers", 0, "held", "It was lifted.", "held", 5, 3, 2, 0.1, 0.002, 60.0, 30.0
+)
 
 
 def make_campaign(folder=Path("out")):
@@ -57,14 +59,14 @@ def make_campaign(folder=Path("out")):
             HELD,
             replace(HELD, seed=1, pokes=6, center_of_mass_error=0.004, duration=80.0),
             replace(HELD, seed=2, status="failed", message="No safe way.", outcome=GAVE_UP),
-            Episode("a b/brick.yaml", 0, REFUSED, "brick: too thick", GAVE_UP),
+            EpisodeOutcome("a b/brick.yaml", 0, REFUSED_STATUS, "brick: too thick", GAVE_UP),
             replace(
                 HELD,
                 object="a b/brick.yaml",
                 seed=7,
                 status="dropped",
                 message="It fell.",
-                outcome=DROPPED,
+                outcome=DROPPED_OUTCOME,
             ),
         ],
     )
@@ -120,14 +122,14 @@ def test_what_the_gripper_did_not_raise_is_not_dropped():
 
 
 def test_intervals_hold_what_they_say():
-    """Over all counts, weighted by how likely they are: nearly 95 % of the intervals hold the true share."""
-    share, total = 0.9, 60
+    """Over all counts, weighted by how likely they are: nearly 95 % of the intervals hold the true fraction."""
+    fraction, total = 0.9, 60
     likely = 0.0
-    chance = (1 - share) ** total
+    chance = (1 - fraction) ** total
     for count in range(total + 1):
-        interval = Share.of(count, total)
-        likely += chance * (interval.low <= share <= interval.high)
-        chance *= (total - count) / (count + 1) * share / (1 - share)
+        interval = Proportion.of(count, total)
+        likely += chance * (interval.low <= fraction <= interval.high)
+        chance *= (total - count) / (count + 1) * fraction / (1 - fraction)
     assert likely == pytest.approx(0.95, abs=0.025)
 
 
@@ -152,22 +154,22 @@ def test_every_failure_has_its_reason_and_its_replay():
 
 
 def test_there_are_the_demos_tasks():
-    assert set(TASKS) == set(TaskName)
+    assert set(TASK_KINDS) == set(TaskName)
 
 
 def test_what_cannot_be_run_says_why(monkeypatch):
     text = format_scenario(PushScenario())
     refused = run_episode(EpisodeJob("claw_hammer", 3, task="pregrasp", scenario=text))
-    assert (refused.status, refused.outcome) == (REFUSED, GAVE_UP)
+    assert (refused.status, refused.outcome) == (REFUSED_STATUS, GAVE_UP)
     assert "no model gripper" in refused.message
 
     def stumble(resolved):
         scenario = resolved.scenario
         raise RuntimeError(f"with {scenario.object}, seed {scenario.seed}")
 
-    monkeypatch.setattr(TASKS["push"], "station", stumble, raising=False)
+    monkeypatch.setattr(TASK_KINDS["push"], "station", stumble, raising=False)
     broken = run_episode(EpisodeJob("pliers", 4, task="push", scenario=text))
-    assert (broken.status, broken.outcome) == (BROKEN, GAVE_UP)
+    assert (broken.status, broken.outcome) == (BROKEN_STATUS, GAVE_UP)
     assert broken.message.startswith("RuntimeError in test_campaign.py, line ")
     assert broken.message.endswith("with pliers, seed 4")
 
@@ -206,13 +208,14 @@ def make_scene_task(resolved, fallen=()):
 
 
 @pytest.mark.parametrize(
-    ("fallen", "outcome"), [((), "held"), (("object",), DROPPED), (("other_0",), DROPPED)]
+    ("fallen", "outcome"),
+    [((), "held"), (("object",), DROPPED_OUTCOME), (("other_0",), DROPPED_OUTCOME)],
 )
 def test_an_episode_with_several_objects_counts_pushes_and_whatever_fell(
     monkeypatch, fallen, outcome
 ):
     monkeypatch.setattr(
-        TASKS["fetch"], "station", partial(make_scene_task, fallen=fallen), raising=False
+        TASK_KINDS["fetch"], "station", partial(make_scene_task, fallen=fallen), raising=False
     )
     text = format_scenario(read_scenario("fetch"))
     episode = run_episode(EpisodeJob("claw_hammer", 3, task="fetch", scenario=text))
@@ -289,15 +292,15 @@ def test_episodes_that_were_not_recorded_are_run_again_to_be_recorded(tmp_path):
     pytest.importorskip("rosbags")
     run_instead(tmp_path, range(2), Instead(), objects=("pliers",))
     # Seed 0 gave up, which is worth a recording; that of seed 1 is there
-    (tmp_path / RECORDINGS).mkdir()
-    (tmp_path / RECORDINGS / "pliers-1.mcap").write_bytes(b"")
+    (tmp_path / RECORDINGS_FOLDER).mkdir()
+    (tmp_path / RECORDINGS_FOLDER / "pliers-1.mcap").write_bytes(b"")
     again = Instead()
     campaign = run_instead(tmp_path, range(2), again, objects=("pliers",), record=True)
     assert again.asked == [("pliers", 0)]
-    assert again.recordings == [str(tmp_path / RECORDINGS / "pliers-0.mcap")]
+    assert again.recordings == [str(tmp_path / RECORDINGS_FOLDER / "pliers-0.mcap")]
     assert [episode.seed for episode in campaign.episodes] == [0, 1]
     drop_recordings(tmp_path)
-    assert not list((tmp_path / RECORDINGS).iterdir())
+    assert not list((tmp_path / RECORDINGS_FOLDER).iterdir())
     both = Instead()
     run_instead(tmp_path, range(2), both, objects=("pliers",), record=True)
     assert both.asked == [("pliers", 0), ("pliers", 1)]
@@ -309,7 +312,7 @@ def test_an_episode_that_could_not_be_run_is_not_run_again_for_its_recording(tmp
     class Refusing(Instead):
         def run(self, function, jobs):
             for found in super().run(function, jobs):
-                yield found and (found[0], replace(found[1], status=REFUSED))
+                yield found and (found[0], replace(found[1], status=REFUSED_STATUS))
 
     run_instead(tmp_path, [3], Refusing(), record=True)
     again = Instead()
@@ -454,7 +457,7 @@ def test_goes_on_after_a_killed_worker_and_an_interrupt(local_campaign):
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 def test_a_replay_is_the_episode_again(local_campaign, capsys):
     _, *lines = (local_campaign / "out" / "episodes.jsonl").read_text().splitlines()
-    episodes = [Episode(**json.loads(line)["result"]) for line in lines]
+    episodes = [EpisodeOutcome(**json.loads(line)["result"]) for line in lines]
     # workers end in any order, so that one is taken by its name
     (episode,) = (each for each in episodes if (each.object, each.seed) == ("snack_bag", 0))
     words = shlex.split(

@@ -3,24 +3,29 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.feedback import STUDY, list_models
-from gridpush_drake.bench.feedback_runs import (
-    EVEN,
-    GOAL,
-    LEARNED,
-    PATH,
-    SHOVE,
-    STROKES,
-    TRUE,
+from gridpush_drake.bench.steering.experiments import STUDY, list_models
+from gridpush_drake.bench.steering.runs import (
+    DISTURBED_RUN,
+    EVEN_MODEL,
+    GOAL_RUN,
+    LEARNED_MODEL,
+    PATH_RUN,
+    PRIMITIVE_PLANNER,
+    TRUE_MODEL,
+    FeedbackJob,
     Followed,
-    Job,
     find_side,
     make_path,
     run_job,
 )
-from gridpush_drake.bench.feedback_worlds import LCP, SIGHT, MujocoFingerWorld, draw_poke
+from gridpush_drake.bench.steering.worlds import (
+    LCP_WORLD,
+    POSE_SENSOR,
+    MujocoFingerWorld,
+    draw_poke,
+)
 from gridpush_drake.bench.study import Done
-from gridpush_drake.bench.truth.sets import FOUNDATION, draw_masses, make_body
+from gridpush_drake.bench.truth.sets import FOUNDATION_KIND, draw_masses, make_body
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import make_direction, rotate
 from gridpush_drake.identification.model import Model
@@ -31,10 +36,10 @@ NAME = "combination_wrench"
 
 def make_result(**changes):
     fields = {
-        "kind": PATH,
-        "world": LCP,
+        "kind": PATH_RUN,
+        "world": LCP_WORLD,
         "name": NAME,
-        "model": LEARNED,
+        "model": LEARNED_MODEL,
         "seed": 0,
         "status": "reached",
         "reached": True,
@@ -49,14 +54,14 @@ def make_result(**changes):
 
 @pytest.mark.slow
 def test_the_learned_model_follows_the_path():
-    path = run_job(Job(PATH, LCP, NAME, LEARNED, 0))
+    path = run_job(FeedbackJob(PATH_RUN, LCP_WORLD, NAME, LEARNED_MODEL, 0))
     assert path.reached
     assert path.rms < 0.003
 
 
 @pytest.mark.slow
 def test_the_learned_model_reaches_the_goal():
-    goal = run_job(Job(GOAL, LCP, NAME, LEARNED, 0))
+    goal = run_job(FeedbackJob(GOAL_RUN, LCP_WORLD, NAME, LEARNED_MODEL, 0))
     assert (goal.status, goal.reached) == ("reached", True)
     assert goal.distance < 0.003
     assert 0 < goal.decision < 1.0
@@ -64,8 +69,8 @@ def test_the_learned_model_reaches_the_goal():
 
 
 def test_strokes_are_timed_by_the_fingers_way():
-    run = run_job(Job(GOAL, LCP, NAME, STROKES, 0))
-    assert run.model == STROKES
+    run = run_job(FeedbackJob(GOAL_RUN, LCP_WORLD, NAME, PRIMITIVE_PLANNER, 0))
+    assert run.model == PRIMITIVE_PLANNER
     # the way to the goal at the finger's speed, at least
     assert run.time > 0.2 / 0.1
     assert np.isnan(run.decision)
@@ -75,18 +80,18 @@ def test_a_rod_in_mujoco_is_steered_and_takes_the_body_along():
     pytest.importorskip("mujoco")
     rng = np.random.default_rng(0)
     obj, truth = draw_masses(NAME, rng)
-    body = make_body(FOUNDATION, obj, truth, rng)
+    body = make_body(FOUNDATION_KIND, obj, truth, rng)
     left = float(obj.outline.bounds[0])
-    world = MujocoFingerWorld(body, np.zeros(3), (left - 0.012, 0.0), 0.008, SIGHT, 0)
+    world = MujocoFingerWorld(body, np.zeros(3), (left - 0.012, 0.0), 0.008, POSE_SENSOR, 0)
     start = world.pose
     came = [seen for _ in range(25) for seen in world.move((0.1, 0.0))]
     assert world.tip == pytest.approx([left + 0.038, 0.0])
     assert np.hypot(*(world.pose - start)[:2]) > 0.02
     # late, in order, and not all of them
-    assert all(seen.time <= world.time - SIGHT.delay + 1e-9 for seen in came)
+    assert all(seen.time <= world.time - POSE_SENSOR.delay + 1e-9 for seen in came)
     assert 10 <= len(came) < 25
     assert np.diff([seen.time for seen in came]).min() > 0
-    world.shove((0.1, 0.2, 0.3))
+    world.disturb((0.1, 0.2, 0.3))
     assert world.pose == pytest.approx([0.1, 0.2, 0.3], abs=1e-3)
 
 
@@ -108,18 +113,22 @@ def test_the_path_begins_where_the_object_lies_with_its_longest_side_behind():
 
 def test_the_jobs_and_their_tables():
     pytest.importorskip("mujoco", reason="mujoco is not installed")
-    options = STUDY.options(worlds=(LCP, FOUNDATION), objects=(NAME,), runs=2)
+    options = STUDY.options(worlds=(LCP_WORLD, FOUNDATION_KIND), objects=(NAME,), runs=2)
     jobs = STUDY.make_jobs(options)
-    count = sum(len(list_models(k, w)) for k in (PATH, GOAL, SHOVE) for w in (LCP, FOUNDATION))
+    count = sum(
+        len(list_models(k, w))
+        for k in (PATH_RUN, GOAL_RUN, DISTURBED_RUN)
+        for w in (LCP_WORLD, FOUNDATION_KIND)
+    )
     assert len(set(jobs)) == len(jobs) == 2 * count
-    assert TRUE not in list_models(PATH, FOUNDATION)
+    assert TRUE_MODEL not in list_models(PATH_RUN, FOUNDATION_KIND)
     job = jobs[0]
     results = [
         make_result(),
         make_result(rms=0.004),
         make_result(reached=False, status="stuck"),
-        make_result(kind=GOAL, rms=np.nan, time=4.0),
-        make_result(kind=GOAL, rms=np.nan, time=9.0, model=EVEN),
+        make_result(kind=GOAL_RUN, rms=np.nan, time=4.0),
+        make_result(kind=GOAL_RUN, rms=np.nan, time=9.0, model=EVEN_MODEL),
     ]
     path, goal = STUDY.tabulate(options, Done((job, each) for each in results))
     row = dict(zip(path.columns, path.rows[0], strict=True))
@@ -127,15 +136,15 @@ def test_the_jobs_and_their_tables():
     assert row["to the end"].startswith("2 (")
     assert row["RMS within 3 mm"].startswith("1 (")
     assert row["RMS, median, mm"] == pytest.approx(2.5)
-    assert [each[1] for each in goal.rows] == [LEARNED, EVEN]
+    assert [each[1] for each in goal.rows] == [LEARNED_MODEL, EVEN_MODEL]
     chosen = STUDY.make_jobs(
-        STUDY.options(worlds=(LCP,), objects=(NAME,), models=(LEARNED,), runs=1)
+        STUDY.options(worlds=(LCP_WORLD,), objects=(NAME,), models=(LEARNED_MODEL,), runs=1)
     )
     assert [(job.kind, job.model) for job in chosen] == [
-        (kind, LEARNED) for kind in (PATH, GOAL, SHOVE)
+        (kind, LEARNED_MODEL) for kind in (PATH_RUN, GOAL_RUN, DISTURBED_RUN)
     ]
     quick = STUDY.make_jobs(STUDY.shorten(STUDY.options()))
-    assert {job.world for job in quick} == {LCP}
+    assert {job.world for job in quick} == {LCP_WORLD}
     assert {job.seed for job in quick} == {0}
 
 
@@ -144,10 +153,13 @@ def test_the_jobs_and_their_tables():
     [
         ({"kinds": ("dance",)}, "kind: 'dance'; expected one of path, goal, shove"),
         ({"models": ("best",)}, "model: 'best'; expected one of learned"),
-        ({"models": (STROKES,), "kinds": (PATH,), "worlds": (LCP,)}, "expected one of learned"),
+        (
+            {"models": (PRIMITIVE_PLANNER,), "kinds": (PATH_RUN,), "worlds": (LCP_WORLD,)},
+            "expected one of learned",
+        ),
         ({"worlds": ("mars",)}, "world: 'mars'; expected one of lcp"),
         ({"runs": 0}, "runs: none"),
-        ({"objects": ("teapot",), "worlds": (LCP,)}, "teapot"),
+        ({"objects": ("teapot",), "worlds": (LCP_WORLD,)}, "teapot"),
     ],
 )
 def test_refuses_what_it_does_not_know(chosen, message):

@@ -3,12 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.campaign import DROPPED, GAVE_UP, Episode
 from gridpush_drake.bench.grasp import STUDY, tabulate_episodes
 from gridpush_drake.cli.main import main
 from gridpush_drake.errors import GridPushError, ObjectError
+from gridpush_drake.station.campaign.episodes import DROPPED_OUTCOME, GAVE_UP, EpisodeOutcome
 
-HELD = Episode("pliers", 0, "held", "It was lifted.", "held", 6, 4, 2, 0.1, 0.002, 60.0, 30.0)
+HELD = EpisodeOutcome(
+    "pliers", 0, "held", "It was lifted.", "held", 6, 4, 2, 0.1, 0.002, 60.0, 30.0
+)
 
 
 def test_the_table_counts_what_happened():
@@ -32,7 +34,7 @@ def test_the_table_counts_what_happened():
             object="toolbox",
             status="dropped",
             message="It fell.",
-            outcome=DROPPED,
+            outcome=DROPPED_OUTCOME,
             raised=-0.7,
             slides=1,
         ),

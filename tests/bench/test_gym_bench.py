@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench import gym
-from gridpush_drake.bench.gym import play_learned, play_planner, play_random, train
-from gridpush_drake.bench.linear_player import WEIGHTS, choose_by_weights
+from gridpush_drake.bench.games import environments as gym
+from gridpush_drake.bench.games.environments import play_learned, play_planner, play_random, train
+from gridpush_drake.bench.games.linear_player import WEIGHT_COUNT, choose_by_weights
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.gym import EnvironmentWorld, PushEnvironment, PushVectorEnvironment
 
@@ -34,7 +34,7 @@ def test_training_is_reproducible_and_better_than_what_it_began_with():
     np.testing.assert_array_equal(*weights)
     trained, untrained = (
         np.mean([score.reward for score in play_learned("PushToGoal", w, 100, 6)])
-        for w in (weights[0], np.zeros(WEIGHTS))
+        for w in (weights[0], np.zeros(WEIGHT_COUNT))
     )
     assert trained > untrained + 1
 
@@ -42,7 +42,7 @@ def test_training_is_reproducible_and_better_than_what_it_began_with():
 def test_weights_choose_the_place_that_pushes_towards_the_goal():
     env = PushVectorEnvironment(8, "PushToGoal", objects=["claw_hammer"])
     seen, _ = env.reset(seed=0)
-    weights = np.zeros(WEIGHTS)
+    weights = np.zeros(WEIGHT_COUNT)
     weights[0] = 1.0  # along the way to the goal
     for action, episode in zip(choose_by_weights(weights, seen), env.episodes, strict=True):
         push = episode.shape.make_push(action, episode.pose)
@@ -51,10 +51,10 @@ def test_weights_choose_the_place_that_pushes_towards_the_goal():
 
 
 def test_tables_have_every_player():
-    scores = gym.run_job(gym.Job("SlideToEdge", gym.RANDOM, 0, 2)).scores
-    played = [gym.Played("SlideToEdge", player, scores) for player in gym.PLAYERS]
+    scores = gym.run_job(gym.GameJob("SlideToEdge", gym.RANDOM_PLAYER, 0, 2)).scores
+    played = [gym.PlayedGame("SlideToEdge", player, scores) for player in gym.PLAYER_NAMES]
     table = gym.tabulate_scores(played, ["SlideToEdge"])
-    assert [row[1] for row in table.rows] == list(gym.PLAYERS)
+    assert [row[1] for row in table.rows] == list(gym.PLAYER_NAMES)
     assert table.rows[0][3] == pytest.approx(np.mean([score.reward for score in scores]))
     (row,) = gym.tabulate_speed([("PushToGoal", 1)]).rows
     assert row[2] == gym.SIDE_BY_SIDE

@@ -10,16 +10,19 @@ from pathlib import Path
 
 import pytest
 
-from gridpush_drake.bench import campaign, drake, paper, perception, planning, plant, real
-from gridpush_drake.bench.jobs import Execution, check_known, run_jobs
-from gridpush_drake.bench.paper import Score
+from gridpush_drake.bench import drake, paper, planning, real
+from gridpush_drake.bench.paper import PaperScore
+from gridpush_drake.bench.perception import experiments as perception
 from gridpush_drake.bench.planning import Decision, Run
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
 from gridpush_drake.bench.pregrasp.exploring import ExplorationScore, Trace
 from gridpush_drake.bench.pregrasp.sliding import SlideScore
-from gridpush_drake.bench.pregrasp.world import Outcome
-from gridpush_drake.bench.results import open_results
+from gridpush_drake.bench.pregrasp.world import PreGraspOutcome
+from gridpush_drake.bench.worlds import plant
 from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.jobs.results import open_results
+from gridpush_drake.jobs.run import Execution, check_known, run_jobs
+from gridpush_drake.station.campaign import episodes as campaign
 
 STARTED_WITHIN, ENDED_WITHIN = 240.0, 6.0
 """s: kernels may have to be compiled before the workers start; the end takes 2 s on a machine that
@@ -35,7 +38,7 @@ class Job:
 @dataclass(frozen=True)
 class Found:
     double: int
-    share: float
+    fraction: float
 
 
 def double(job: Job) -> list[Found]:
@@ -121,7 +124,7 @@ def test_finished_jobs_are_not_run_again(tmp_path):
         run_jobs(double, jobs, describe, execution())
     found = run_jobs(double, jobs[1:], describe, execution())
     assert [results[0].double for results in found] == [2, 4]
-    assert isnan(found[0][0].share)
+    assert isnan(found[0][0].fraction)
     assert found[1] == [Found(4, 0.1)]
     assert (tmp_path / "runs").read_text().split() == ["1", "-1", "2"]
     assert len(prepared) == 3
@@ -163,7 +166,7 @@ def test_other_settings_are_refused_or_begun_anew(tmp_path, monkeypatch):
     assert results.lines == {}
     run_jobs(double, jobs, describe, Execution(0, None, results))
     assert len(open_results(path, "doubling", {"seed": 1}).lines) == 1
-    monkeypatch.setattr("gridpush_drake.bench.results.hash_sources", lambda: "another")
+    monkeypatch.setattr("gridpush_drake.jobs.results.hash_sources", lambda: "another")
     with pytest.raises(GridPushError, match="program"):
         open_results(path, "doubling", {"seed": 1})
 
@@ -215,18 +218,18 @@ TRACE = Trace(3, nan, 1.5)
 @pytest.mark.parametrize(
     ("function", "result"),
     [
-        (paper.run_job, [Score("a", 0, 5, "default", 100, 80, 0.1 + 0.2)]),
+        (paper.run_job, [PaperScore("a", 0, 5, "default", 100, 80, 0.1 + 0.2)]),
         (planning.run_job, [Decision("a", "gradient", 28, -1e-17, 0.3)]),
         (planning.run_job, [Run("a", "true", True, False, 3, "reached", nan, 0.1, 99, 1.0, 0.0)]),
-        (real.run_job, [real.Score("a", 0, "poses", 5, (0.1, 0.2), (nan, 0.3))]),
-        (pregrasp.run_job, SlideScore("a", "learned", Outcome(True, False, 3, 2, "held"))),
+        (real.run_job, [real.RealPushScore("a", 0, "poses", 5, (0.1, 0.2), (nan, 0.3))]),
+        (pregrasp.run_job, SlideScore("a", "learned", PreGraspOutcome(True, False, 3, 2, "held"))),
         (
             pregrasp.run_job,
             ExplorationScore("a", "both directions", 0.02, TRACE, replace(TRACE, pokes=21)),
         ),
         (
             campaign.run_episode,
-            campaign.Episode("a", 0, "held", "", "held", 5, 3, 2, nan, None, 30.0, 12.5),
+            campaign.EpisodeOutcome("a", 0, "held", "", "held", 5, 3, 2, nan, None, 30.0, 12.5),
         ),
         (
             drake.run_job,

@@ -7,7 +7,7 @@ import pytest
 from shapely import LineString
 
 from gridpush_drake.bench.truth.sets import (
-    KINDS,
+    TRUTH_KINDS,
     draw_masses,
     make_body,
     make_set,
@@ -52,7 +52,7 @@ def calc_shift(world, push):
     return float(ahead @ rotate(theta, center))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TRUTH_KINDS)
 def test_loads_at_rest_are_in_equilibrium(kind):
     world = make_world(kind)
     params, feet = world.body.params, world.body.feet

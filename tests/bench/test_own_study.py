@@ -9,9 +9,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.results import open_results
 from gridpush_drake.cli.bench.command import make_command
+from gridpush_drake.jobs.results import open_results
+from gridpush_drake.jobs.run import Execution
 
 PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 
@@ -48,7 +48,7 @@ def test_it_runs_and_goes_on_where_it_ended(study, tmp_path):
 
 
 def test_its_command_is_made_of_its_options(study, monkeypatch):
-    monkeypatch.setattr("gridpush_drake.cli.options.compile_all", lambda: None)
+    monkeypatch.setattr("gridpush_drake.cli.shell.options.compile_all", lambda: None)
     app = typer.Typer(add_completion=False)
     app.command()(make_command(study))
     arguments = ["--objects", "pliers", "--quick", "--workers", "1", "--json"]

@@ -7,7 +7,7 @@ from PIL import Image
 from gridpush_drake.bench import paper_figures
 from gridpush_drake.bench.paper import choose_budgets
 from gridpush_drake.bench.paper_figures import (
-    FIGURES,
+    FIGURE_NAMES,
     STUDY,
     Counts,
     MapJob,
@@ -45,12 +45,12 @@ def test_nothing_is_run_where_a_figure_may_not_be_written(tmp_path):
 @pytest.mark.slow
 def test_every_figure_is_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(paper_figures, "REAL_COUNTS", (3,))
-    monkeypatch.setattr(paper_figures, "SHIPPED", ("open_book",))
+    monkeypatch.setattr(paper_figures, "SHIPPED_SUBSTITUTES", ("open_book",))
     monkeypatch.setattr(paper_figures, "SLIDE_METHODS", ("true", "uniform"))
     counts = Counts(sets=1, pairs=1, splits=1, tries=1, budget=30)
     (table,) = STUDY.run(figures=tmp_path / "figures", methods=("paper",), counts=counts)
-    assert [row[0] for row in table.rows] == list(FIGURES)
-    for name in FIGURES:
+    assert [row[0] for row in table.rows] == list(FIGURE_NAMES)
+    for name in FIGURE_NAMES:
         with Image.open(tmp_path / "figures" / f"{name}.png") as image:
             assert len(np.unique(np.asarray(image.convert("RGB")).reshape(-1, 3), axis=0)) > 10
         assert "<svg" in (tmp_path / "figures" / f"{name}.svg").read_text()

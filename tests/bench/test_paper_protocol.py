@@ -6,23 +6,23 @@ import pytest
 from shapely import Point
 
 from gridpush_drake.bench import paper
-from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.paper import Score
-from gridpush_drake.bench.protocol import (
-    DURATION,
+from gridpush_drake.bench.data.protocol import (
     FINGER_RADIUS,
-    SPEED,
+    PUSH_DURATION,
+    PUSH_SPEED,
     make_case,
     make_protocol,
     make_pushes,
     place_disc,
 )
-from gridpush_drake.bench.table import calc_interval
+from gridpush_drake.bench.paper import PaperScore
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, OutputError
 from gridpush_drake.identification.model import Model
+from gridpush_drake.jobs.run import Execution
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
+from gridpush_drake.report.table import calc_interval
 from tests.helpers.random_objects import make_random_object
 from tests.helpers.shared_data import shared_data
 
@@ -121,8 +121,8 @@ def test_ten_pushes_touch_at_their_start(name):
             0.8 * np.ptp(case.obj.outline.exterior.xy[0]), rel=0.02
         )
     for i, seen in enumerate(case.log):
-        np.testing.assert_allclose(seen.push.velocity, [0, -SPEED if i < 5 else SPEED])
-        assert seen.push.duration == DURATION
+        np.testing.assert_allclose(seen.push.velocity, [0, -PUSH_SPEED if i < 5 else PUSH_SPEED])
+        assert seen.push.duration == PUSH_DURATION
         np.testing.assert_allclose(seen.t_observed, np.arange(1, 21) * 0.1)
         motion = simulate(Model(case.obj), seen.push, seen.pose)
         assert abs(motion.gaps[0]) < 1e-12
@@ -217,7 +217,7 @@ def test_workers_do_not_matter(made_folder):
 
 
 def make_scores():
-    one = Score("a", 0, 5, "default", 100, 80, 0.001)
+    one = PaperScore("a", 0, 5, "default", 100, 80, 0.001)
     return [
         replace(one, name=name, mass_set=mass_set, training=training, method=method, error=error)
         for training in (1, 5)

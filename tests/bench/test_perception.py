@@ -3,37 +3,37 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench import perception
-from gridpush_drake.bench.found_outlines import (
+from gridpush_drake.bench.perception import experiments as perception
+from gridpush_drake.bench.perception.found_outlines import (
     OutlineJob,
     OutlineScore,
     run_outline,
     tabulate_outlines,
 )
-from gridpush_drake.bench.found_photographs import (
+from gridpush_drake.bench.perception.found_photographs import (
     PhotoScore,
     RenderedPhotoScore,
     find_photographs,
     tabulate_photos,
     tabulate_rendered_photos,
 )
-from gridpush_drake.bench.hidden_pushes import (
-    KINDS,
-    HiddenJob,
-    HiddenScore,
-    run_hidden,
-    tabulate_hidden,
-)
-from gridpush_drake.bench.rendered_photographs import KINDS as OUTLINE_KINDS
-from gridpush_drake.bench.rendered_photographs import make_outline, take_photograph
-from gridpush_drake.bench.several_objects import (
-    SeveralJob,
-    SeveralScore,
+from gridpush_drake.bench.perception.multi_object import (
+    MultiObjectJob,
+    MultiObjectScore,
     draw_motion,
-    run_several,
-    tabulate_several,
+    run_multi_object,
+    tabulate_multi_object,
 )
-from gridpush_drake.bench.tracked_pushes import (
+from gridpush_drake.bench.perception.occluded_pushes import (
+    OCCLUDED_OUTLINE_KINDS,
+    OcclusionJob,
+    OcclusionScore,
+    run_occlusion,
+    tabulate_occlusions,
+)
+from gridpush_drake.bench.perception.rendered_photographs import OUTLINE_KINDS as OUTLINE_KINDS
+from gridpush_drake.bench.perception.rendered_photographs import make_outline, take_photograph
+from gridpush_drake.bench.perception.tracked_pushes import (
     TagJob,
     TrackJob,
     TrackScore,
@@ -73,9 +73,9 @@ def test_a_tag_is_tracked():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", OCCLUDED_OUTLINE_KINDS)
 def test_no_hidden_push_flips_what_looks_alike(kind):
-    score = run_hidden(HiddenJob(kind, 6, seed=100, model=True))
+    score = run_occlusion(OcclusionJob(kind, 6, seed=100, model=True))
     assert (score.pushes, score.flipped, score.unseen) == (6, 0, 0)
     assert score.doubted <= 2
 
@@ -111,8 +111,8 @@ def test_tables():
         [RenderedPhotoScore("reporting", [0.95, 0.5]), RenderedPhotoScore("reporting", [np.nan])]
     )
     assert rendered.rows[0] == pytest.approx(("reporting", 3, 1, 0.725, 100 / 3, 100 / 3))
-    hidden = tabulate_hidden(
-        [HiddenScore("plate", True, 5, 1, 2, 0), HiddenScore("square", True, 3, 0, 0, 1)]
+    hidden = tabulate_occlusions(
+        [OcclusionScore("plate", True, 5, 1, 2, 0), OcclusionScore("square", True, 3, 0, 0, 1)]
     )
     assert hidden.rows[2] == ("all", "model", 8, 1, 2, 1)
     photos = tabulate_photos([PhotoScore("a", (0.9, 0.8, 0.7)), PhotoScore("b", (1.0, 0.6, 0.5))])
@@ -136,17 +136,17 @@ def test_a_folder_without_photographs_is_named(tmp_path):
 
 
 def test_a_part_is_measured_by_itself():
-    options = perception.Options(part="several", several_pushes=3, counts=(2, 4))
+    options = perception.PerceptionBenchOptions(part="several", several_pushes=3, counts=(2, 4))
     jobs = perception.make_jobs(options)
     assert [(job.count, job.touching, job.pushes) for job in jobs] == [
         (2, False, 3), (4, False, 3), (2, True, 3), (4, True, 3)
     ]  # fmt: skip
-    everything = perception.make_jobs(perception.Options())
-    assert {type(job) for job in everything} >= {SeveralJob, TrackJob, TagJob, OutlineJob}
+    everything = perception.make_jobs(perception.PerceptionBenchOptions())
+    assert {type(job) for job in everything} >= {MultiObjectJob, TrackJob, TagJob, OutlineJob}
 
 
 def test_several_objects_that_push_each_other_are_tabulated():
-    score = SeveralScore(
+    score = MultiObjectScore(
         count=2,
         touching=True,
         pushes=1,
@@ -156,7 +156,7 @@ def test_several_objects_that_push_each_other_are_tabulated():
         errors=[(1e-4, 0.0, 0.0), (0.0, 1e-4, np.radians(0.1))],
         deviations=[(1e-4, 1e-4, 1e-3), (1e-4, 1e-4, 1e-3)],
     )
-    row, total = tabulate_several([score]).rows
+    row, total = tabulate_multi_object([score]).rows
     assert row[:6] == ("2", "touching", 1, 4, 1, 1)
     assert row[6] == pytest.approx(0.1)
     assert row[7] == pytest.approx(0.1 / np.sqrt(2))
@@ -170,7 +170,7 @@ def test_objects_that_push_each_other_are_told_apart(touching):
     _, motion = draw_motion(2, touching, 50)
     ways = np.linalg.norm(motion.poses[-1, :, :2] - motion.poses[0, :, :2], axis=1)
     assert (ways > 0.005).all()
-    score = run_several(SeveralJob(2, touching, 1, 50))
+    score = run_multi_object(MultiObjectJob(2, touching, 1, 50))
     assert (score.frames, score.unseen, score.wrong) == (22, 0, 0)
     errors = np.array(score.errors)
     assert np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()) < 3e-4

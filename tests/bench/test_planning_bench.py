@@ -1,17 +1,17 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.planning import LEARNING, STUDY, TRUE
-from gridpush_drake.bench.protocol import (
-    OVERHANG,
+from gridpush_drake.bench.data.protocol import (
+    MAX_CELL_OVERHANG,
     draw_pairs,
     list_objects,
     make_hidden,
     make_planning_protocol,
     read_planning_object,
 )
+from gridpush_drake.bench.planning import LEARNING_MODEL, STUDY, TRUE_MODEL
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.jobs.run import Execution
 from gridpush_drake.objects.object_file import list_shipped_objects
 from tests.helpers.shared_data import shared_data
 
@@ -35,7 +35,7 @@ def test_every_object_may_lie_where_the_protocol_says(seed):
         obj = read_planning_object(protocol, name)
         assert make_hidden(protocol, name, 3).n == obj.n <= 127
         for pose in protocol.pairs.reshape(-1, 3):
-            assert protocol.surface.contains_cells(obj, pose, -OVERHANG)
+            assert protocol.surface.contains_cells(obj, pose, -MAX_CELL_OVERHANG)
 
 
 @pytest.mark.slow
@@ -54,12 +54,12 @@ def test_decisions_are_near_the_exhaustive_search_s(masks):
 @pytest.mark.slow
 def test_runs_reach_their_goals(masks):
     (table,) = STUDY.run(
-        data=masks, objects=("snack",), quick=True, part="push", modes=(LEARNING, TRUE),
+        data=masks, objects=("snack",), quick=True, part="push", modes=(LEARNING_MODEL, TRUE_MODEL),
         execution=Execution(workers=0),
     )  # fmt: skip
     done = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     assert [(row["model"], row["object"]) for row in done] == [
-        (LEARNING, "snack"), (LEARNING, "all"), (TRUE, "snack"), (TRUE, "all")
+        (LEARNING_MODEL, "snack"), (LEARNING_MODEL, "all"), (TRUE_MODEL, "snack"), (TRUE_MODEL, "all")
     ]  # fmt: skip
     assert all(row["success, %"] == 100 and row["off the table"] == 0 for row in done)
     assert done[2]["later, mm"] < done[0]["first prediction, mm"]

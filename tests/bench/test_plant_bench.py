@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.plant import (
-    OBJECTS,
+from gridpush_drake.bench.worlds.plant import (
+    DEFAULT_OBJECTS,
     PlantJob,
     PlantWorld,
     calc_scores,
@@ -18,6 +17,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ObjectError, PushError
 from gridpush_drake.identification.model import Model
+from gridpush_drake.jobs.run import Execution
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 
@@ -99,7 +99,7 @@ def test_tables_and_names():
 
 @pytest.mark.slow
 def test_plant_and_model_agree():
-    scores = calc_scores(OBJECTS, 3, ("planar",), seed=100, execution=Execution(workers=0))
+    scores = calc_scores(DEFAULT_OBJECTS, 3, ("planar",), seed=100, execution=Execution(workers=0))
     for score in scores:
         assert score.tracking_error < 2e-5
         assert score.position < MAX_POSITION, score

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.jobs import Execution
+from gridpush_drake.bench.data.protocol import ANGLE_STD, POSITION_STD, add_pose_noise
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
 from gridpush_drake.bench.pregrasp.experiments import OBJECTS_OF_BENCH
 from gridpush_drake.bench.pregrasp.exploring import (
-    ALONG,
+    ALONG_OBJECT,
     MAX_POKES,
     explore,
     tabulate_exploration,
@@ -19,12 +19,12 @@ from gridpush_drake.bench.pregrasp.sliding import (
     make_table,
     tabulate_slides,
 )
-from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoEdgeWorld, Outcome
-from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD, add_pose_noise
+from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoEdgeWorld, PreGraspOutcome
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.model import Model
+from gridpush_drake.jobs.run import Execution
 
 NOISE = {"position_std": POSITION_STD, "angle_std": ANGLE_STD}
 
@@ -138,12 +138,12 @@ def test_truths_are_measured_beside_each_other():
 
 @pytest.mark.slow
 def test_materials_are_measured_by_what_is_told(monkeypatch):
-    monkeypatch.setattr(pregrasp, "TOLD", {"0.2 to 0.8": (0.2, 0.8)})
+    monkeypatch.setattr(pregrasp, "KNOWN_FRICTION_BOUNDS", {"0.2 to 0.8": (0.2, 0.8)})
     table, _ = pregrasp.STUDY.run(
         objects=("toolbox",),
         mass_sets=1,
         seeds=1,
-        experiment=pregrasp.MATERIALS,
+        experiment=pregrasp.MATERIALS_EXPERIMENT,
         execution=Execution(workers=0),
     )
     assert table.rows[0][:2] == ["0.2 to 0.8", 1]
@@ -154,8 +154,8 @@ def test_one_part_is_of_rubber():
     obj = load_bench_object("toolbox", (0.3, 0.4))
     drawn = [pregrasp.draw_materials(obj, i) for i in range(6)]
     for friction in drawn:
-        assert len(np.unique(obj.labels[friction == pregrasp.RUBBER])) == 1
-        assert set(friction) == {pregrasp.RUBBER, pregrasp.STEEL}
+        assert len(np.unique(obj.labels[friction == pregrasp.RUBBER_FRICTION])) == 1
+        assert set(friction) == {pregrasp.RUBBER_FRICTION, pregrasp.STEEL_FRICTION}
     assert len({tuple(friction) for friction in drawn}) > 1
 
 
@@ -164,7 +164,7 @@ def test_bounds_that_hold_contain_the_center_and_tip_nothing():
         objects=("pliers",),
         mass_sets=2,
         seeds=1,
-        experiment=pregrasp.BOUNDS,
+        experiment=pregrasp.BOUNDS_EXPERIMENT,
         friction=(0.3, 0.4),
         execution=Execution(workers=0),
     )[0]
@@ -189,9 +189,9 @@ def test_noise_is_as_large_as_it_says():
 
 def test_the_table_counts_what_happened():
     outcomes = [
-        Outcome(True, False, 3, 2, ""),
-        Outcome(False, True, 1, 1, ""),
-        Outcome(False, False, 5, 0, ""),
+        PreGraspOutcome(True, False, 3, 2, ""),
+        PreGraspOutcome(False, True, 1, 1, ""),
+        PreGraspOutcome(False, False, 5, 0, ""),
     ]
     table = tabulate_slides(
         [SlideScore("pliers", "learned", outcome) for outcome in outcomes], ["learned"]
@@ -233,12 +233,12 @@ def test_pokes_by_design_are_fewer_and_the_spread_is_honest():
     scores = []
     for i, name in enumerate(OBJECTS_OF_BENCH[:2]):
         obj = load_bench_object(name, pregrasp.FRICTION_RANGE)
-        scores.append(explore(obj, pregrasp.make_truth(obj, i), name, i, 0, ALONG))
+        scores.append(explore(obj, pregrasp.make_truth(obj, i), name, i, 0, ALONG_OBJECT))
     designed = np.mean([score.active.pokes for score in scores])
     assert designed < np.mean([score.random.pokes for score in scores])
     assert designed < MAX_POKES
     assert max(score.active.error for score in scores) < 0.02
-    assert tabulate_exploration(scores).rows[0][:3] == [ALONG, 40.0, 2]
+    assert tabulate_exploration(scores).rows[0][:3] == [ALONG_OBJECT, 40.0, 2]
     assert len(tabulate_exploration_by_object(scores, OBJECTS_OF_BENCH).rows) == 2
 
 

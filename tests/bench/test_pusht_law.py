@@ -18,9 +18,9 @@ from gridpush_drake.bench.pusht.sliding_block import (
     SlidingBlock,
 )
 from gridpush_drake.bench.pusht.stroke_search import calc_coverage
-from gridpush_drake.dynamics.kernels.driven_disc import (
+from gridpush_drake.dynamics.kernels.steering.driven_disc import (
     PX,
-    STATE,
+    STATE_SIZE,
     THETA,
     UX,
     VX,
@@ -91,7 +91,7 @@ def test_walls_hold_the_block():
 def test_many_predictions_are_single_ones():
     rng = np.random.default_rng(3)
     record = make_block().make_record(TRUE)
-    states = np.zeros((40, STATE))
+    states = np.zeros((40, STATE_SIZE))
     states[:, PX : PX + 2] = rng.uniform(200, 300, (40, 2))
     states[:, VX : VX + 2] = rng.uniform(-100, 100, (40, 2))
     states[:, X : THETA + 1] = [256.0, 236.0, 0.7]
@@ -191,7 +191,7 @@ def test_it_is_the_law_of_gym_pusht(center):
     off = []
     for seed in range(10000, 10006):
         observation, info = env.reset(seed=seed)
-        state = np.zeros(STATE)
+        state = np.zeros(STATE_SIZE)
         for _ in range(60):
             state[PX : PX + 2] = observation[:2]
             state[X : THETA + 1] = observation[2:5]

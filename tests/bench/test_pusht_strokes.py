@@ -9,7 +9,7 @@ from gridpush_drake.bench.pusht.strokes import (
     LEARNED,
     PLAYERS,
     TRUE,
-    StrokeEpisode,
+    PrimitiveEpisode,
     StrokesPlayed,
     calc_coverage,
     play_strokes,
@@ -19,7 +19,7 @@ from gridpush_drake.gym.games import make_t
 
 
 def test_who_knows_more_predicts_better():
-    played = {player: play_strokes(StrokeEpisode(10001, player)) for player in PLAYERS}
+    played = {player: play_strokes(PrimitiveEpisode(10001, player)) for player in PLAYERS}
     assert played[TRUE].reached
     assert played[LEARNED].prediction_error < 0.5 * played[EVEN].prediction_error
     assert played[TRUE].prediction_error < played[LEARNED].prediction_error

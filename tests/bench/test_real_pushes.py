@@ -3,24 +3,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.jobs import Execution
+from gridpush_drake.bench.data.real_logs import find_push_logs, name_logs, simulate_log
 from gridpush_drake.bench.real import (
-    CENTER,
+    CENTER_MODEL,
     FEET_SETS,
-    POSES,
+    POSES_MODEL,
     STUDY,
-    UNIFORM,
-    Job,
+    UNIFORM_PRESSURE,
+    RealPushJob,
     calc_split_means,
     run_job,
 )
-from gridpush_drake.bench.real_logs import find_push_logs, name_logs, simulate_log
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.jobs.run import Execution
 from gridpush_drake.objects.object_file import find_shipped_object
 from tests.helpers.shared_data import shared_data
 
 # The bounds, mm, for the mean over the four feet sets.
-MOST = {(CENTER, 25): 2.4, (CENTER, 5): 2.55, (POSES, 5): 2.8}
+MOST = {(CENTER_MODEL, 25): 2.4, (CENTER_MODEL, 5): 2.55, (POSES_MODEL, 5): 2.8}
 MAX_ABOVE_UNIFORM = 0.15
 
 LONG_SPLITS = 3  # in which 25 pushes are learned from too
@@ -28,16 +28,16 @@ LONG_SPLITS = 3  # in which 25 pushes are learned from too
 
 def test_one_split_of_real_pushes_is_learned_and_scored() -> None:
     path = shared_data("cmu_pushes", "hardboard_wide.txt")
-    scores = run_job(Job(path, "cmu", 0, (5,), 0))
+    scores = run_job(RealPushJob(path, "cmu", 0, (5,), 0))
     by_model = {score.model: score.combined() for score in scores}
-    assert set(by_model) == {UNIFORM, POSES, CENTER}
+    assert set(by_model) == {UNIFORM_PRESSURE, POSES_MODEL, CENTER_MODEL}
     assert all(len(errors) == 25 for errors in by_model.values())
-    assert by_model[CENTER].mean() < 0.75 * by_model[UNIFORM].mean()
+    assert by_model[CENTER_MODEL].mean() < 0.75 * by_model[UNIFORM_PRESSURE].mean()
 
 
 def test_held_out_pushes_do_not_depend_on_the_training_count() -> None:
     path = shared_data("cmu_pushes", "plywood_wide.txt")
-    first, second = (run_job(Job(path, "cmu", 1, (count,), 0)) for count in (1, 2))
+    first, second = (run_job(RealPushJob(path, "cmu", 1, (count,), 0)) for count in (1, 2))
     assert first[0].position == second[0].position
 
 
@@ -87,9 +87,9 @@ def test_simulated_pushes_stand_in_and_say_so() -> None:
     assert table.columns[0] == "object, simulated"
     assert any("Nothing here is real" in note for note in table.notes)
     assert [row[:3] for row in table.rows] == [
-        ["pliers", UNIFORM, 0],
-        ["pliers", POSES, 5],
-        ["pliers", POSES, 25],
+        ["pliers", UNIFORM_PRESSURE, 0],
+        ["pliers", POSES_MODEL, 5],
+        ["pliers", POSES_MODEL, 25],
     ]
     uniform, five, many = (row[3].mean for row in table.rows)
     assert many < five < uniform
@@ -111,14 +111,16 @@ def test_real_pushes_are_predicted_as_well_as_promised() -> None:
     for name in FEET_SETS:
         path = shared_data("cmu_pushes", f"{name}.txt")
         for split in range(10):
-            scores += run_job(Job(path, "cmu", split, (5, 25) if split < LONG_SPLITS else (5,), 0))
+            scores += run_job(
+                RealPushJob(path, "cmu", split, (5, 25) if split < LONG_SPLITS else (5,), 0)
+            )
     for (model, count), most in MOST.items():
         assert calc_split_means(scores, FEET_SETS, model, count).mean() <= most
     for count, splits in ((5, 10), (25, LONG_SPLITS)):
         alike = [score for score in scores if score.split < splits]
         for name in FEET_SETS:
-            uniform = calc_split_means(alike, [name], UNIFORM, 0).mean()
-            for model in (POSES, CENTER):
+            uniform = calc_split_means(alike, [name], UNIFORM_PRESSURE, 0).mean()
+            for model in (POSES_MODEL, CENTER_MODEL):
                 assert (
                     calc_split_means(alike, [name], model, count).mean() - uniform
                     <= MAX_ABOVE_UNIFORM
@@ -132,7 +134,9 @@ def test_a_fifth_of_the_mit_pushes_beats_the_files_own_model(name: str) -> None:
 
     path = shared_data("mit_pushes", f"{name}.mat")
     position, angle = read_model_errors(path)
-    scores = [score for split in range(2) for score in run_job(Job(path, "mit", split, (), 0))]
-    learned = [score for score in scores if score.model == POSES]
+    scores = [
+        score for split in range(2) for score in run_job(RealPushJob(path, "mit", split, (), 0))
+    ]
+    learned = [score for score in scores if score.model == POSES_MODEL]
     assert np.mean([np.mean(score.position) for score in learned]) <= position
     assert np.mean([np.mean(score.angle) for score in learned]) <= angle

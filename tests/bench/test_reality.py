@@ -6,21 +6,20 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gridpush_drake.bench.mujoco_plant import MujocoPlant
 from gridpush_drake.bench.reality import (
-    COUNTS,
-    DRAKE,
-    EVEN,
-    LEARNED,
-    MUJOCO,
-    OURS,
-    OWN,
+    DRAKE_ENGINE,
+    EVEN_MODEL,
+    LCP_ENGINE,
+    LEARNED_MODEL,
+    MUJOCO_ENGINE,
     PLANT_SPEED,
-    STILL,
+    SET_MODEL,
+    STILL_MODEL,
     STUDY,
-    Job,
-    Options,
-    Score,
+    TRAINING_PUSH_COUNTS,
+    RealityBenchOptions,
+    RealityJob,
+    RealityScore,
     calc_error,
     hasten,
     make_jobs,
@@ -28,6 +27,7 @@ from gridpush_drake.bench.reality import (
     tabulate,
 )
 from gridpush_drake.bench.study import Done
+from gridpush_drake.bench.worlds.mujoco_plant import MujocoPlant
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
@@ -42,15 +42,15 @@ CLEARANCE = 0.002
 
 
 def test_without_data_simulated_pushes_stand_in():
-    jobs = make_jobs(Options(plants=False, splits=1, test=2))
+    jobs = make_jobs(RealityBenchOptions(plants=False, splits=1, test=2))
     assert [job.name for job in jobs] == ["claw_hammer", "toolbox"]
-    options = Options(plants=False, splits=1, test=2)
+    options = RealityBenchOptions(plants=False, splits=1, test=2)
     (table,) = tabulate(options, Done([(jobs[0], run_job(jobs[0]))]))
     assert "Nothing here is real" in table.notes[0]
     rows = {(row[1], row[2]): row[3].mean for row in table.rows}
-    assert rows[LEARNED, 25] < rows[EVEN, 0] < rows[STILL, 0]
+    assert rows[LEARNED_MODEL, 25] < rows[EVEN_MODEL, 0] < rows[STILL_MODEL, 0]
     with pytest.raises(GridPushError, match="--test: 26; expected at most 25"):
-        make_jobs(Options(test=26))
+        make_jobs(RealityBenchOptions(test=26))
 
 
 def test_refuses_a_folder_without_pushes(tmp_path):
@@ -92,46 +92,60 @@ def test_mujoco_pushes_as_the_model_says():
 def test_a_set_of_real_pushes_is_predicted_in_every_simulator():
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
     path = shared_data("cmu_pushes", "hardboard_wide.txt")
-    job = Job("hardboard_wide", "cmu", path, 0, 4, (OURS, DRAKE, MUJOCO), 0)
+    job = RealityJob(
+        "hardboard_wide", "cmu", path, 0, 4, (LCP_ENGINE, DRAKE_ENGINE, MUJOCO_ENGINE), 0
+    )
     scores = run_job(job)
     means = {(s.model, s.training, s.engine): 1e3 * np.mean(s.errors) for s in scores}
     print(means)
-    believed = [(EVEN, 0), *((LEARNED, count) for count in COUNTS)]
-    assert means.keys() == {(STILL, 0, OURS)} | {
+    believed = [(EVEN_MODEL, 0), *((LEARNED_MODEL, count) for count in TRAINING_PUSH_COUNTS)]
+    assert means.keys() == {(STILL_MODEL, 0, LCP_ENGINE)} | {
         (model, training, engine) for model, training in believed for engine in job.engines
     }
     assert all(len(score.errors) == 4 for score in scores)
     for engine in job.engines:
         # What was learned serves Drake and MuJoCo, too
-        assert means[LEARNED, 25, engine] < means[EVEN, 0, engine] < means[STILL, 0, OURS]
-        assert abs(means[LEARNED, 25, engine] - means[LEARNED, 25, OURS]) < 1.0
+        assert (
+            means[LEARNED_MODEL, 25, engine]
+            < means[EVEN_MODEL, 0, engine]
+            < means[STILL_MODEL, 0, LCP_ENGINE]
+        )
+        assert abs(means[LEARNED_MODEL, 25, engine] - means[LEARNED_MODEL, 25, LCP_ENGINE]) < 1.0
 
 
 def test_the_table_has_every_set_with_its_own_model():
     path = shared_data("mit_pushes", "abs_rect1.mat")
-    options = Options(data=path.parent, splits=2, test=3, plants=False)
+    options = RealityBenchOptions(data=path.parent, splits=2, test=3, plants=False)
     jobs = [job for job in make_jobs(options) if job.name == "abs_rect1"]
     assert [job.split for job in jobs] == [0, 1]
 
     def make(job):
         # Push 7 is held out twice
         pushes = (7, 8) if job.split else (7, 9)
-        base = Score(job.name, job.kind, job.split, STILL, 0, OURS, pushes, (0.02, 0.02))
-        even = replace(base, model=EVEN, errors=(0.006, 0.008))
+        base = RealityScore(
+            job.name, job.kind, job.split, STILL_MODEL, 0, LCP_ENGINE, pushes, (0.02, 0.02)
+        )
+        even = replace(base, model=EVEN_MODEL, errors=(0.006, 0.008))
         learned = [
-            replace(base, model=LEARNED, training=count, errors=(0.001 * job.split, 0.004))
-            for count in COUNTS
+            replace(base, model=LEARNED_MODEL, training=count, errors=(0.001 * job.split, 0.004))
+            for count in TRAINING_PUSH_COUNTS
         ]
         return [base, even, *learned]
 
     (table,) = tabulate(options, Done((job, make(job)) for job in jobs))
-    assert list(table.columns) == ["set", "model", "training", OURS, "repeated"]
+    assert list(table.columns) == ["set", "model", "training", LCP_ENGINE, "repeated"]
     rows = {(row[1], row[2]): row[3] for row in table.rows}
-    assert list(rows) == [(STILL, 0), (EVEN, 0), (LEARNED, 5), (LEARNED, 25), (OWN, None)]
-    assert rows[EVEN, 0].mean == pytest.approx((6.0 + 8.0 + 8.0) / 3)
+    assert list(rows) == [
+        (STILL_MODEL, 0),
+        (EVEN_MODEL, 0),
+        (LEARNED_MODEL, 5),
+        (LEARNED_MODEL, 25),
+        (SET_MODEL, None),
+    ]
+    assert rows[EVEN_MODEL, 0].mean == pytest.approx((6.0 + 8.0 + 8.0) / 3)
     errors = np.array([0.5, 4.0, 4.0])
-    assert rows[LEARNED, 5].mean == pytest.approx(errors.mean())
+    assert rows[LEARNED_MODEL, 5].mean == pytest.approx(errors.mean())
     half = stats.t.ppf(0.975, 2) * stats.sem(errors)
-    assert rows[LEARNED, 5].high == pytest.approx(errors.mean() + half)
-    assert 1.0 < rows[OWN, None].mean < 10.0
+    assert rows[LEARNED_MODEL, 5].high == pytest.approx(errors.mean() + half)
+    assert 1.0 < rows[SET_MODEL, None].mean < 10.0
     assert table.rows[0][4] is None

@@ -3,13 +3,19 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.joint_learning import LearnJob, LearnScore, make_learn_table
-from gridpush_drake.bench.scene import STUDY, Job, Options, Score, make_speed_table
-from gridpush_drake.bench.scene_plant import MakePlantScene
-from gridpush_drake.bench.scene_rows import (
+from gridpush_drake.bench.multi_object.joint_learning import LearnJob, LearnScore, make_learn_table
+from gridpush_drake.bench.multi_object.experiments import (
+    STUDY,
+    SceneBenchOptions,
+    ScenePushJob,
+    SceneScore,
+    make_speed_table,
+)
+from gridpush_drake.bench.multi_object.scene_plant import MakePlantScene
+from gridpush_drake.bench.multi_object.scene_rows import (
     PAIR_FRICTION,
     PUSHER_FRICTION,
-    RADIUS,
+    PUSHER_RADIUS,
     draw_row,
     load_objects,
     make_mujoco_scene,
@@ -34,7 +40,7 @@ def test_two_blocks_move_in_mujoco_as_in_the_model():
     scene = Layout.of(
         [(obj, params, (0.0, 0.0, 0.0)), (obj, params, (0.083, 0.02, 0.1))], PAIR_FRICTION
     )
-    push = Push((-0.04 - RADIUS, 0.004), (0.05, 0.0), 1.2, RADIUS)
+    push = Push((-0.04 - PUSHER_RADIUS, 0.004), (0.05, 0.0), 1.2, PUSHER_RADIUS)
     ours = scene.simulate(push)
     theirs = make_mujoco_scene(*scene, push)(np.array([0.0, push.duration]))
     np.testing.assert_allclose(theirs[0], scene.poses, atol=1e-6)
@@ -54,7 +60,7 @@ def test_two_blocks_move_in_the_plant_as_in_the_model():
     scene = Layout.of(
         [(obj, params, (0.0, 0.0, 0.0)), (obj, params, (0.083, 0.02, 0.1))], PAIR_FRICTION
     )
-    push = Push((-0.04 - RADIUS, 0.004), (0.05, 0.0), 1.0, RADIUS)
+    push = Push((-0.04 - PUSHER_RADIUS, 0.004), (0.05, 0.0), 1.0, PUSHER_RADIUS)
     ours = simulate(scene.bodies.with_physics(Physics(spin="none")), push, scene.poses)
     theirs = MakePlantScene(*scene, push)(np.array([0.0, push.duration]))
     np.testing.assert_allclose(theirs[0], scene.poses, atol=1e-9)
@@ -75,13 +81,13 @@ def test_a_push_is_drawn_that_moves_all_objects():
 
 
 def test_its_tables():
-    options = Options(counts=(2,))
-    score = Score(
+    options = SceneBenchOptions(counts=(2,))
+    score = SceneScore(
         2, moved=0.05, last_moved=0.02, drake=0.001, mujoco=0.002, between=0.003, solved=True
     )
     learned = LearnScore(2, "model", even=0.01, learned=0.001, true=0.0, held=1.0)
     compared, learning = STUDY.tabulate(
-        options, Done([(Job(2, 0), score), (LearnJob(2, 0, "model"), learned)])
+        options, Done([(ScenePushJob(2, 0), score), (LearnJob(2, 0, "model"), learned)])
     )
     assert compared.rows[0][:2] == [2, 1]
     assert learning.rows == make_learn_table([learned]).rows

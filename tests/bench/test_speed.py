@@ -3,9 +3,9 @@ import json
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.mujoco_boxes import make_mujoco_push
 from gridpush_drake.bench.speed import STUDY
 from gridpush_drake.bench.speed_cases import make_bench_push
+from gridpush_drake.bench.worlds.mujoco_boxes import make_mujoco_push
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.model import Model

@@ -11,13 +11,13 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.results import make_key, open_results
-from gridpush_drake.bench.study import Study, StudyOptions, Task, option
-from gridpush_drake.bench.table import Table, mean_of
+from gridpush_drake.bench.study import JobKind, Study, StudyOptions, option
 from gridpush_drake.cli.bench.command import describe_settings, make_command
 from gridpush_drake.cli.bench.group import BENCHES
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.jobs.results import make_key, open_results
+from gridpush_drake.jobs.run import Execution
+from gridpush_drake.report.table import Table, mean_of
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ def make_jobs(options: Options) -> list[SquareJob | CubeJob]:
     return [kinds[word](number) for number in numbers for word in options.words or kinds]
 
 
-SQUARE = Task(job=SquareJob, run=calc_square, describe=lambda job: f"square of {job.number}")
-CUBE = Task(job=CubeJob, run=calc_cube, describe=lambda job: f"cube of {job.number}")
+SQUARE = JobKind(job=SquareJob, run=calc_square, describe=lambda job: f"square of {job.number}")
+CUBE = JobKind(job=CubeJob, run=calc_cube, describe=lambda job: f"cube of {job.number}")
 
 
 def tabulate(options, done):
@@ -154,7 +154,7 @@ def invoke(*arguments):
 
 def test_the_command_has_the_studys_options_and_those_of_all(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("gridpush_drake.cli.options.compile_all", lambda: None)
+    monkeypatch.setattr("gridpush_drake.cli.shell.options.compile_all", lambda: None)
     shown = invoke("--help").output
     for name in ("--count", "--power", "--note", "--quick", "--seed", "--workers", "--results"):
         assert name in shown

@@ -4,15 +4,16 @@ from itertools import product
 import pytest
 from rich.console import Console
 
-from gridpush_drake.bench import drake, grasp, paper, planning, plant, real
-from gridpush_drake.bench.campaign import Episode
+from gridpush_drake.bench import drake, grasp, paper, planning, real
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
-from gridpush_drake.bench.pregrasp.exploring import AIMS, DISTANCES, ExplorationScore, Trace
-from gridpush_drake.bench.pregrasp.world import Outcome
-from gridpush_drake.bench.table import Mean, Table
+from gridpush_drake.bench.pregrasp.exploring import AIM_NAMES, POKE_LENGTHS, ExplorationScore, Trace
+from gridpush_drake.bench.pregrasp.world import PreGraspOutcome
 from gridpush_drake.bench.timing import measure, one_core
-from gridpush_drake.identification.learning import METHODS
+from gridpush_drake.bench.worlds import plant
+from gridpush_drake.identification.learning import METHOD_NAMES
 from gridpush_drake.objects.object_file import list_shipped_objects
+from gridpush_drake.report.table import Mean, Table
+from gridpush_drake.station.campaign.episodes import EpisodeOutcome
 
 TABLE = Table(
     "One push",
@@ -87,20 +88,20 @@ ERROR = 0.1234567
 
 
 def make_paper_tables():
-    methods = (paper.UNIFORM, *METHODS)
+    methods = (paper.UNIFORM_PRIOR, *METHOD_NAMES)
     scores = [
-        paper.Score(name, number, training, method, 1500, 1500, ERROR * (1 + number))
+        paper.PaperScore(name, number, training, method, 1500, 1500, ERROR * (1 + number))
         for name, number, training, method in product(NAMES, range(2), (1, 5), methods)
     ]
     return [
         paper.tabulate_methods(scores, NAMES, methods, 5, 1500),
-        paper.tabulate_training(scores, NAMES, paper.DEFAULT, 1500),
+        paper.tabulate_training(scores, NAMES, paper.DEFAULT_METHOD, 1500),
         paper.tabulate_budgets(scores, methods, 5),
     ]
 
 
 def make_planning_tables():
-    modes = (planning.LEARNING, planning.LOOK_AHEAD)
+    modes = (planning.LEARNING_MODEL, planning.LOOK_AHEAD)
     decisions = [
         planning.Decision(name, method, 422, ERROR, 1.2345)
         for name, method in product(NAMES, ("gradient", "finite_difference", "exhaustive"))
@@ -119,9 +120,9 @@ def make_planning_tables():
 
 def make_real_tables():
     names, counts = [*real.FEET_SETS, "hardboard_patch"], (5, 25)
-    models = ((real.UNIFORM, 0), *product((real.POSES, real.CENTER), counts))
+    models = ((real.UNIFORM_PRESSURE, 0), *product((real.POSES_MODEL, real.CENTER_MODEL), counts))
     scores = [
-        real.Score(name, split, model, count, (ERROR, ERROR * split), (1.0, 2.0))
+        real.RealPushScore(name, split, model, count, (ERROR, ERROR * split), (1.0, 2.0))
         for name, split, (model, count) in product([*names, *NAMES], range(2), models)
     ]
     return [
@@ -134,16 +135,16 @@ def make_real_tables():
 def make_pregrasp_tables():
     methods = ("learned, wide friction", "unbounded")
     slides = [
-        pregrasp.SlideScore(name, method, Outcome(True, False, 13, 12, ""))
+        pregrasp.SlideScore(name, method, PreGraspOutcome(True, False, 13, 12, ""))
         for name, method in product(NAMES, methods)
     ]
     trace = Trace(21, ERROR, 1.0)
     pokes = [
         ExplorationScore(name, aim, distance, trace, trace)
-        for name, aim, distance in product(NAMES, AIMS, DISTANCES)
+        for name, aim, distance in product(NAMES, AIM_NAMES, POKE_LENGTHS)
     ]
     grasps = [
-        Episode(name, 0, "dropped", "It fell.", "dropped", 5, 3, 2, 0.1, 0.2, 123.4, 234.5)
+        EpisodeOutcome(name, 0, "dropped", "It fell.", "dropped", 5, 3, 2, 0.1, 0.2, 123.4, 234.5)
         for name in NAMES
     ]
     return [
@@ -164,7 +165,7 @@ def make_drake_tables():
     ]
     plants = [
         plant.PlantScore(name, base, 0, spin, ERROR, ERROR, ERROR, ERROR, ERROR, ERROR)
-        for name, base, spin in product(NAMES, plant.BASES, plant.SPINS)
+        for name, base, spin in product(NAMES, plant.BASE_KINDS, plant.SPIN_MODELS)
     ]
     return [drake.make_table(stations), plant.make_table(plants)]
 

@@ -6,23 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.truth import design
 from gridpush_drake.bench.truth import learning as truth
 from gridpush_drake.bench.truth.design import find_designed_pushes
 from gridpush_drake.bench.truth.learning import (
-    LEARNED,
-    LOADS,
-    MASSES,
-    SHIFTING,
-    UNIFORM,
+    LEARNED_MODEL,
+    SHIFTING_LOAD_MODEL,
+    TRUE_LOAD_MODEL,
+    TRUE_MASS_MODEL,
+    UNIFORM_MODEL,
     TruthScore,
     calc_center_region,
     tabulate_scores,
 )
 from gridpush_drake.bench.truth.sets import (
     DESIGNED_PUSHES,
-    DISTANCE,
+    PUSH_LENGTH,
     draw_world,
     make_set,
     write_set,
@@ -32,6 +31,7 @@ from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import calc_center_of_mass
+from gridpush_drake.jobs.run import Execution
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.command_line import run_gridpush
 
@@ -67,11 +67,17 @@ def test_learns_from_a_set_that_is_there(folder, capsys):
     assert done.code == 0, done.err
     (table,) = json.loads(done.out)["tables"]
     error = {row[1]: row[3] for row in table["rows"]}
-    assert list(error) == [UNIFORM, MASSES, LOADS, SHIFTING, "3 pushes"]
-    assert error[LOADS] < 0.5 * error[UNIFORM]
-    assert error[LOADS] < 0.5 * error[MASSES]
-    assert error[SHIFTING] < error[LOADS]
-    assert error["3 pushes"] < error[UNIFORM]
+    assert list(error) == [
+        UNIFORM_MODEL,
+        TRUE_MASS_MODEL,
+        TRUE_LOAD_MODEL,
+        SHIFTING_LOAD_MODEL,
+        "3 pushes",
+    ]
+    assert error[TRUE_LOAD_MODEL] < 0.5 * error[UNIFORM_MODEL]
+    assert error[TRUE_LOAD_MODEL] < 0.5 * error[TRUE_MASS_MODEL]
+    assert error[SHIFTING_LOAD_MODEL] < error[TRUE_LOAD_MODEL]
+    assert error["3 pushes"] < error[UNIFORM_MODEL]
 
 
 def test_the_region_is_the_covariances(folder):
@@ -89,7 +95,7 @@ def test_the_region_is_the_covariances(folder):
 def test_the_table_counts_what_happened():
     scores = [
         TruthScore(
-            "vertices", "a", seed, LEARNED, 5, error, error / 2, error < 0.0015, within, error
+            "vertices", "a", seed, LEARNED_MODEL, 5, error, error / 2, error < 0.0015, within, error
         )
         for seed, error, within in ((0, 0.001, 1.0), (1, 0.002, 0.5), (2, 0.006, 0.6))
     ]
@@ -131,7 +137,13 @@ def test_pushes_by_design_tell_more_than_random_ones_of_the_same_body(folder, ca
     error = {row[1]: row[3] for row in models["rows"]}
     region = {row[1]: row[8] for row in models["rows"]}
     names = ["1 pushes", "1 pushes by design", "3 pushes", "3 pushes by design"]
-    assert list(error) == [UNIFORM, MASSES, LOADS, SHIFTING, *names]
+    assert list(error) == [
+        UNIFORM_MODEL,
+        TRUE_MASS_MODEL,
+        TRUE_LOAD_MODEL,
+        SHIFTING_LOAD_MODEL,
+        *names,
+    ]
     assert region["3 pushes by design"] < region["3 pushes"]
     # The second table compares them, body by body.
     for row, (drawn, chosen) in zip(difference["rows"], (names[:2], names[2:]), strict=True):
@@ -159,13 +171,13 @@ def test_a_push_by_design_begins_away_from_those_before_it(folder):
     starts = np.array([transform_back(seen.pose, seen.push.start[None])[0] for seen in log])
     apart = np.linalg.norm(starts[:, None] - starts, axis=2)[np.triu_indices(3, 1)]
     assert apart.min() >= 0.04 * made.obj.outline.length
-    assert [seen.push.length for seen in log] == pytest.approx([DISTANCE] * 3)
+    assert [seen.push.length for seen in log] == pytest.approx([PUSH_LENGTH] * 3)
 
 
 def test_where_no_new_place_is_left_a_push_by_design_begins_where_one_did(folder, monkeypatch):
     made = truth.read_set(folder / "three_feet" / "spray_bottle_0")
     # Pushes this far from each other there are two of at most.
-    monkeypatch.setattr(design, "SEPARATIONS", (0.4, 0.0))
+    monkeypatch.setattr(design, "PUSH_SEPARATIONS", (0.4, 0.0))
     _, world, _ = draw_world(made.kind, made.name, made.seed)
     assert len(design.choose_pushes(made, world, 3)) == 3
 

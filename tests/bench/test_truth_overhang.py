@@ -5,7 +5,7 @@ import pytest
 
 from gridpush_drake.bench.truth.overhang import (
     HALF_PLANE,
-    SHARE,
+    OVERHANG_FRACTIONS,
     OverhangJob,
     TippingJob,
     TippingScore,
@@ -39,7 +39,10 @@ def test_a_box_tips_where_its_center_of_mass_leaves_the_table(kind):
 def test_the_model_with_a_table_predicts_pushes_over_its_edge():
     scores = run_overhang(OverhangJob("mujoco", "claw_hammer", 0, 2))
     assert len(scores) == 2
-    assert all(SHARE[0] <= score.share <= SHARE[1] and not score.tips for score in scores)
+    assert all(
+        OVERHANG_FRACTIONS[0] <= score.fraction <= OVERHANG_FRACTIONS[1] and not score.tips
+        for score in scores
+    )
     assert max(score.position for score in scores) < 0.002
     assert max(score.endless for score in scores) > 0.004
     row = tabulate_pushes(scores).rows[-1]

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from gridpush_drake.bench.truth.mujoco_scale import MujocoScale
-from gridpush_drake.bench.truth.sets import make_body
-from gridpush_drake.bench.weighing import (
+from gridpush_drake.bench.tilt_tests.experiments import (
     STUDY,
-    TASK,
+    TILT_TEST_JOBS,
     EdgeJob,
-    Options,
     PressCourse,
-    WeighingJob,
-    WeighingScore,
+    TiltTestBenchOptions,
+    TiltTestJob,
+    TiltTestScore,
     draw_truth,
     make_jobs,
     make_model,
@@ -27,21 +25,23 @@ from gridpush_drake.bench.weighing import (
     score,
     weigh_at_edge,
 )
-from gridpush_drake.bench.weighing_story import make_press
-from gridpush_drake.bench.weighing_world import EDGE, EXACT, WeighingWorld
-from gridpush_drake.cli.options import load_object
+from gridpush_drake.bench.tilt_tests.mujoco_scale import MujocoScale
+from gridpush_drake.bench.tilt_tests.whole_task import make_press
+from gridpush_drake.bench.tilt_tests.world import NOISELESS, TABLE_EDGE, TiltTestWorld
+from gridpush_drake.bench.truth.sets import make_body
+from gridpush_drake.cli.shell.options import load_object
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import GridPushError, ObjectError
 from gridpush_drake.geometry.se2 import transform, wrap_angle
 from gridpush_drake.identification.learning import describe_prior
-from gridpush_drake.identification.weighed_model import weigh_model
+from gridpush_drake.identification.tilt_tests.weighed_model import estimate_masses
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
-from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_rests
+from gridpush_drake.planning.pregrasp.weighing_planner import TiltTestPlanner
+from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_placements
 from gridpush_drake.planning.weighing.press import PressOptions, PressOutcome, has_slid
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
+from gridpush_drake.pushes.weighings import MassTestLog, TiltTest
 
 
 def plan(world, heading, mass=0.5, params=None, obj=None):
@@ -49,7 +49,7 @@ def plan(world, heading, mass=0.5, params=None, obj=None):
     obj = obj or world.obj
     center = (params or world.params).center_of_mass(obj)
     centers = center + 0.01 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    rests = list_rests(obj, centers, heading, EDGE, world.height, PressRules(mass=mass))
+    rests = list_placements(obj, centers, heading, TABLE_EDGE, world.height, PressRules(mass=mass))
     return min(rests, key=lambda one: one.relative_std)
 
 
@@ -57,7 +57,7 @@ def plan(world, heading, mass=0.5, params=None, obj=None):
 def test_the_force_at_which_it_tilts_is_that_of_the_moments(name, heading):
     obj = load_object(name)
     params = sample_ground_truth(obj, 3, friction_by_part=True)
-    world = WeighingWorld(obj, params, noise=EXACT)
+    world = TiltTestWorld(obj, params, noise=NOISELESS)
     planned = plan(world, heading)
     world.put(planned.pose)
     world.let_pass(0.2)
@@ -84,7 +84,7 @@ def test_a_press_measures_the_edge_and_not_the_feet(bottom, rim_gap):
     obj = load_object("snack_bag")
     params = sample_ground_truth(obj, 3, friction_by_part=True)
     body = make_body(bottom, obj, params, np.random.default_rng(7), 0.012, rim_gap)
-    world = MujocoScale(body, noise=EXACT)
+    world = MujocoScale(body, noise=NOISELESS)
     planned = plan(world, 3.6, params=params, obj=obj)
     world.put(planned.pose)
     world.let_pass(0.3)
@@ -111,7 +111,7 @@ def test_friction_does_not_matter():
     rough = CellParameters(smooth.mass, 2.5 * smooth.friction, 0.9)
     forces = []
     for params in (smooth, rough):
-        world = WeighingWorld(obj, params, noise=EXACT)
+        world = TiltTestWorld(obj, params, noise=NOISELESS)
         planned = plan(world, 0.3)
         world.put(planned.pose)
         world.let_pass(0.2)
@@ -123,7 +123,7 @@ def test_friction_does_not_matter():
 def test_an_object_that_is_too_heavy_lies_still():
     obj = load_object("snack_bag")
     params = CellParameters.uniform(obj, 2.0, 0.4)
-    world = WeighingWorld(obj, params, noise=EXACT, options=PressOptions(max_force=6.0))
+    world = TiltTestWorld(obj, params, noise=NOISELESS, options=PressOptions(max_force=6.0))
     planned = plan(world, 0.3)
     world.put(planned.pose)
     world.let_pass(0.2)
@@ -139,9 +139,9 @@ def test_a_press_at_any_edge_tells_the_same_as_at_drakes():
     center = params.center_of_mass(obj)
     edge = Edge(point=(0.31, -0.12), angle=2.0)
     centers = center + 0.01 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    rests = list_rests(obj, centers, 2.3, edge, 0.03, along=0.2)
+    rests = list_placements(obj, centers, 2.3, edge, 0.03, along=0.2)
     planned = min(rests, key=lambda one: one.relative_std)
-    scale = WeighingWorld(obj, params, noise=EXACT)
+    scale = TiltTestWorld(obj, params, noise=NOISELESS)
     press, made = make_press(scale, planned.target, planned.pose, planned.pose)
     assert 0.0 < made.max_tilt < np.radians(5.0)
     assert press.edge_angle == edge.angle
@@ -156,7 +156,7 @@ def test_a_press_at_any_edge_tells_the_same_as_at_drakes():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["claw_hammer", "combination_wrench"])
 def test_an_object_of_which_nothing_is_told_is_weighed(name):
-    found = run_job(WeighingJob(name, 0))
+    found = run_job(TiltTestJob(name, 0))
     assert abs(found.mass_error) < 0.03
     assert found.center_error < 0.003
     assert abs(found.friction_error) < 0.03
@@ -180,16 +180,16 @@ def test_scores_are_kept_as_json():
     obj = load_object("spring_clamp").forget()
     truth = draw_truth(obj, 3)
     found = describe_prior(obj)
-    press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
-    for known in (found, weigh_model(found, WeighingLog((press,)))):
+    press = TiltTest(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
+    for known in (found, estimate_masses(found, MassTestLog((press,)))):
         scored = score(
-            WeighingJob(obj.name, 3),
+            TiltTestJob(obj.name, 3),
             known,
             truth,
             PressCourse(presses=1, time=4.0, max_tilt=np.float64(0.01)),
         )
-        kept = TypeAdapter(WeighingScore).dump_json(scored)
-        back = TypeAdapter(WeighingScore).validate_json(kept)
+        kept = TypeAdapter(TiltTestScore).dump_json(scored)
+        back = TypeAdapter(TiltTestScore).validate_json(kept)
         assert back.presses == 1
         assert back.mass == truth.total_mass
 
@@ -197,14 +197,14 @@ def test_scores_are_kept_as_json():
 def test_the_bench_presses_where_the_robot_s_planner_says(monkeypatch):
     """One planner decides for both: what it yields is pressed, and nothing else. In MuJoCo."""
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
-    made = make_weighed(WeighingJob("snack_bag", 3, "flat"))
+    made = make_weighed(TiltTestJob("snack_bag", 3, "flat"))
     center = tuple(made.truth.center_of_mass(made.obj).tolist())
     prior = replace(made.obj.prior, center_of_mass=center, center_of_mass_std=0.005)
     made = replace(made, obj=replace(made.obj, prior=prior))
     found = describe_prior(made.obj)
     model = make_model(found, PushLog(()))
     asked = []
-    real = WeighingPlanner.plan_presses
+    real = TiltTestPlanner.plan_presses
 
     def plan(planner, pose, model, may_slide=True):
         asked.append(next(real(planner, pose, model, may_slide)))
@@ -218,10 +218,10 @@ def test_the_bench_presses_where_the_robot_s_planner_says(monkeypatch):
         return press(target)
 
     monkeypatch.setattr(made.scale, "press", note)
-    monkeypatch.setattr(WeighingPlanner, "plan_presses", plan)
+    monkeypatch.setattr(TiltTestPlanner, "plan_presses", plan)
     planner = make_planner(made.obj, made.scale.height)
     once = replace(planner.weighing, max_presses=1)
-    monkeypatch.setattr(WeighingPlanner, "weighing", once)
+    monkeypatch.setattr(TiltTestPlanner, "weighing", once)
     _, course = weigh_at_edge(made, replace(found, push_names=("push",) * 3), PushLog(()), 3)
     assert course.presses == len(pressed) == 1
     assert pressed[0] is asked[-1].here.target
@@ -247,7 +247,7 @@ def test_errors_differ_from_object_to_object():
     for name in ("pliers", "toolbox"):
         obj = load_object(name)
         truth = draw_truth(obj, 3)
-        world = WeighingWorld(obj, truth, seed=3)
+        world = TiltTestWorld(obj, truth, seed=3)
         seen.append(world.observe() - world.read_pose())
         # The first pose of a push is that of an object at the origin, with noise.
         pushed.append(make_pushes(obj, truth, 3, 1)[0].pose)
@@ -256,18 +256,20 @@ def test_errors_differ_from_object_to_object():
 
 
 def test_jobs_are_those_that_were_asked_for():
-    jobs = make_jobs(Options(objects=("toolbox",), truths=2, seed=5, part="scale"))
-    assert jobs == [WeighingJob("toolbox", 5), WeighingJob("toolbox", 6)]
+    jobs = make_jobs(TiltTestBenchOptions(objects=("toolbox",), truths=2, seed=5, part="scale"))
+    assert jobs == [TiltTestJob("toolbox", 5), TiltTestJob("toolbox", 6)]
     # Of nine objects, seven have a part that the gripper takes.
-    assert len(make_jobs(Options())) == 90 + 70
-    to_edge = make_jobs(Options(objects=("open_book", "pliers"), truths=1, part="edge"))
+    assert len(make_jobs(TiltTestBenchOptions())) == 90 + 70
+    to_edge = make_jobs(
+        TiltTestBenchOptions(objects=("open_book", "pliers"), truths=1, part="edge")
+    )
     assert [job.name for job in to_edge] == ["pliers"]
-    both = make_jobs(STUDY.shorten(Options()))
-    assert both == [WeighingJob("claw_hammer", 0), EdgeJob("claw_hammer", 0)]
-    assert TASK.describe(jobs[0]) == "toolbox, truth 5"
+    both = make_jobs(STUDY.shorten(TiltTestBenchOptions()))
+    assert both == [TiltTestJob("claw_hammer", 0), EdgeJob("claw_hammer", 0)]
+    assert TILT_TEST_JOBS.describe(jobs[0]) == "toolbox, truth 5"
     with pytest.raises(ObjectError, match="anvil"):
-        make_jobs(Options(objects=("anvil",)))
+        make_jobs(TiltTestBenchOptions(objects=("anvil",)))
     with pytest.raises(GridPushError, match="cannot be grasped"):
-        make_jobs(Options(objects=("open_book",), part="edge"))
+        make_jobs(TiltTestBenchOptions(objects=("open_book",), part="edge"))
     with pytest.raises(GridPushError, match="truths: none"):
-        make_jobs(Options(truths=0))
+        make_jobs(TiltTestBenchOptions(truths=0))

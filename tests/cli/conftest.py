@@ -1,6 +1,6 @@
 import pytest
 
-from gridpush_drake.cli.options import compile_kernels
+from gridpush_drake.cli.shell.options import compile_kernels
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from tests.helpers.command_line import run_gridpush

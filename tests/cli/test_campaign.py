@@ -2,10 +2,10 @@ import socket
 
 import pytest
 
-from gridpush_drake.cli.campaign import parse_seeds
-from gridpush_drake.cli.options import OptionError
+from gridpush_drake.cli.run.campaign import parse_seeds
+from gridpush_drake.cli.shell.options import OptionError
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.station.scenario_file import format_scenario
+from gridpush_drake.station.schema.scenario_file import format_scenario
 
 SCENARIO = "object: pliers\nbase: planar\npokes: {count: 1, test_count: 0}\n"
 
@@ -132,7 +132,7 @@ def test_refuses_a_folder_of_another_campaign(refuses, scenario, tmp_path):
 
 @pytest.mark.slow
 def test_refuses_a_cluster_that_does_not_answer(refuses, scenario, tmp_path, monkeypatch):
-    monkeypatch.setattr("gridpush_drake.bench.cluster.CONNECT_WITHIN", 1.0)
+    monkeypatch.setattr("gridpush_drake.jobs.cluster.CONNECT_WITHIN", 1.0)
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
@@ -150,10 +150,10 @@ def test_takes_the_options_of_the_demo(gridpush, tmp_path, monkeypatch):
         raise GridPushError("no further")
 
     taken = []
-    monkeypatch.setattr("gridpush_drake.cli.campaign.run", take)
+    monkeypatch.setattr("gridpush_drake.cli.run.campaign.run", take)
     options = ["--camera", "rgbd", "--robot", "xarm6", "--unknown-inertia"]
     gridpush("campaign", "grasp", "--seeds", "0", "--out", tmp_path / "out", *options)
     (scenario,) = taken
     assert scenario.camera.rgbd is not None
-    assert scenario.nothing_told
+    assert scenario.unknown_inertia
     assert "xarm6" in format_scenario(scenario)

@@ -117,9 +117,9 @@ def test_the_site_shows_its_own_form_of_a_page():
     text = (
         "<!-- code host -->\nSeen on a code host.\n<!-- end of code host -->\n"
         "<!-- site\n```{toctree}\na\n```\n-->\n"
-        "[`StationTask`](../gridpush_drake/station/task.py) "
-        "[the tasks](../gridpush_drake/station/task.py) "
-        "[`PushStatus` and others](../systems/messages.py) [commands](../gridpush_drake/cli) "
+        "[`StationTask`](../gridpush_drake/station/tasks/task.py) "
+        "[the tasks](../gridpush_drake/station/tasks/task.py) "
+        "[`PushStatus` and others](../systems/base/messages.py) [commands](../gridpush_drake/cli) "
         "[install](install.md) [scenario](../models/scenarios/default.yaml)\n"
     )
     public = {"StationTask": "gridpush_drake.station.StationTask"}

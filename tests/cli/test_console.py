@@ -1,7 +1,7 @@
 import pytest
 
-from gridpush_drake.cli import console
-from gridpush_drake.cli.console import PlainProgress, count_progress, search_progress
+from gridpush_drake.cli.shell import console
+from gridpush_drake.cli.shell.console import PlainProgress, count_progress, search_progress
 from gridpush_drake.identification.result import HistoryEntry
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from gridpush_drake.cli import demo
+from gridpush_drake.cli.run import demo
 from gridpush_drake.display.cell_colors import CellColors
 from gridpush_drake.display.server import StartMeshcatServer, looks_like_recording
 from gridpush_drake.errors import GridPushError, StationError
@@ -18,10 +18,10 @@ from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station import scenario_file
-from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.task_kind import TaskKind
-from gridpush_drake.station.tasks import TASKS, TaskName
+from gridpush_drake.station.schema import scenario_file
+from gridpush_drake.station.schema.scenario_file import read_scenario
+from gridpush_drake.station.tasks.registry import TASK_KINDS, TaskName
+from gridpush_drake.station.tasks.task_kind import TaskKind
 from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
 from tests.helpers.renderer import require_renderer
 
@@ -32,8 +32,8 @@ SHORT = "object: {object}\npokes: {{count: {count}, test_count: {test_count}, sp
 
 
 def test_every_task_of_the_command_is_there_and_begins_its_files_with_a_report():
-    assert set(TASKS) == set(TaskName)
-    for task in TASKS.values():
+    assert set(TASK_KINDS) == set(TaskName)
+    for task in TASK_KINDS.values():
         assert task.files[0] == "report.html"
         assert {"recording.html", "scenario.yaml", "truth.yaml"} <= set(task.files)
 
@@ -60,7 +60,7 @@ def test_learns_and_reports(gridpush, tmp_path):
         "--json",
     )
     assert outcome.code == 0, outcome.err
-    assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["identify"].files)
+    assert sorted(path.name for path in out.iterdir()) == sorted(TASK_KINDS["identify"].files)
     summary = json.loads(outcome.out)
     assert (summary["status"], summary["pushes"], summary["held_out"]) == ("finished", 2, 1)
     assert summary["limit_report"]["touched"] == []
@@ -221,7 +221,7 @@ def test_refuses_an_unknown_camera(refuses, tmp_path):
 
 def test_tells_the_robot_nothing_if_it_is_asked_to(gridpush, refuses, tmp_path, monkeypatch):
     def take(self, resolved, *_):
-        taken.append(resolved.scenario.nothing_told)
+        taken.append(resolved.scenario.unknown_inertia)
         raise GridPushError("no further")
 
     taken = []
@@ -261,7 +261,7 @@ def test_weighs_what_it_is_told_nothing_of_and_lifts_it(gridpush, tmp_path):
     assert off @ np.linalg.solve(covariance, off) < 13.8
     assert np.sqrt(np.linalg.eigvalsh(covariance).max()) < 0.002
     assert weighed["friction"] == pytest.approx(true["friction"], abs=0.05)
-    assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["pregrasp"].files)
+    assert sorted(path.name for path in out.iterdir()) == sorted(TASK_KINDS["pregrasp"].files)
     report = (out / "report.html").read_text()
     assert "truly 0.680 kg" in report
     # From the files alone, the same model to the last digit.
@@ -295,7 +295,7 @@ def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, r
     monkeypatch.setattr(TaskKind, "run", take)
     if more == ["--scenario"]:
         more = ["--scenario", str(tmp_path / "scenario.yaml")]
-        scenario_file.write_scenario(tmp_path / "scenario.yaml", TASKS[task].make_scenario())
+        scenario_file.write_scenario(tmp_path / "scenario.yaml", TASK_KINDS[task].make_scenario())
     outcome = gridpush("demo", "--task", task, "--out", tmp_path / "demo", *more)
     # with several objects, and where the arm hides the object, the robot is told all poses
     told = task in {TaskName.follow, TaskName.separate, TaskName.rearrange, TaskName.fetch}
@@ -341,7 +341,9 @@ def test_one_whose_place_is_taken_meanwhile_keeps_what_it_made_beside_it(
 
     monkeypatch.setattr(TaskKind, "run", take)
     monkeypatch.setattr(demo, "write_files", write)
-    monkeypatch.setattr(TASKS[TaskName.pregrasp], "summarize", lambda record: {"status": "held"})
+    monkeypatch.setattr(
+        TASK_KINDS[TaskName.pregrasp], "summarize", lambda record: {"status": "held"}
+    )
     outcome = gridpush("demo", "--camera", "ideal", "--out", out, "--json")
     assert outcome.code == 0
     kept = tmp_path / "demo-2"
@@ -517,7 +519,7 @@ def test_pokes_slides_and_lifts_as_readme_says(gridpush, tmp_path, monkeypatch):
     out = tmp_path / "gridpush_demo"
     assert read_scenario(out / "scenario.yaml").camera.kind == "rgbd"
     # Nothing was weighed.
-    expected = sorted(set(TASKS["pregrasp"].files) - {"weighings.csv"})
+    expected = sorted(set(TASK_KINDS["pregrasp"].files) - {"weighings.csv"})
     assert sorted(path.name for path in out.iterdir()) == expected
     assert "What the robot did" in (out / "report.html").read_text()
     check_same_offline(gridpush, out, tmp_path)

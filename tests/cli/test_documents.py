@@ -17,20 +17,20 @@ import typer
 import yaml
 from pydantic import BaseModel
 
-from gridpush_drake.cli.lazy_group import LazyCommand
 from gridpush_drake.cli.main import app
-from gridpush_drake.cli.ros_args import split_ros_arguments
-from gridpush_drake.dynamics.kernels.friction import LAWS
+from gridpush_drake.cli.shell.lazy_group import LazyCommand
+from gridpush_drake.cli.shell.ros_args import split_ros_arguments
+from gridpush_drake.dynamics.kernels.friction.laws import FRICTION_LAWS
 from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import MissingExtraError, PushLogError
 from gridpush_drake.identification.baselines.search import Bounds, SearchStatus, run_search
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
-from gridpush_drake.pushes.push_csv import COLUMNS
+from gridpush_drake.pushes.push_csv import PUSH_COLUMNS
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.robot import make_robot_directives
-from gridpush_drake.station.scenario_file import (
+from gridpush_drake.station.robot.robot import make_robot_directives
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario_file import (
     find_scenario,
     list_shipped_scenarios,
     parse_scenario,
@@ -143,7 +143,7 @@ def run_fragment(number, monkeypatch):
 
 
 def test_the_friction_law_is_one(monkeypatch):
-    monkeypatch.setitem(LAWS, "ribbed", None)  # registered for this test only
+    monkeypatch.setitem(FRICTION_LAWS, "ribbed", None)  # registered for this test only
     law = run_fragment(0, monkeypatch)["RIBBED"]
     rng = np.random.default_rng(0)
     cells, k, xi, eps = (
@@ -215,7 +215,7 @@ def test_two_objects_are_a_scenario():
 def test_how_presses_are_set_is_a_scenario():
     (block,) = find_blocks("docs/howto/weigh_at_the_edge.md", "yaml")
     scenario = parse_scenario(Path("weigh.yaml"), block)
-    assert scenario.nothing_told
+    assert scenario.unknown_inertia
     assert scenario.weighing.max_presses == 8
     assert scenario.safety.force == 30.0
 
@@ -286,7 +286,7 @@ def test_the_object_and_the_pushes_can_be_read(tmp_path):
 
 
 def test_every_column_object_and_scenario_is_named():
-    for column in COLUMNS:
+    for column in PUSH_COLUMNS:
         assert f"`{column}`" in TEXTS["docs/howto/own_pushes.md"]
     for shipped in list_shipped_objects():
         assert f"`{shipped}`" in TEXTS["docs/first_steps.md"]
@@ -349,7 +349,7 @@ def test_every_part_of_a_file_is_explained():
         and thing.__module__ == module
         and name[0] != "_"
     }
-    assert set(named) == schemas - {("gridpush_drake.station.scenario", "PushScenario")}
+    assert set(named) == schemas - {("gridpush_drake.station.schema.scenario", "PushScenario")}
 
 
 def test_the_theory_names_its_files():

@@ -72,7 +72,7 @@ def check_regulator(out, numbers):
     assert abs(regulated) < 1.0 < abs(aside) and abs(straight) < 1.0 < abs(askew)
 
 
-def check_doubts(out, numbers):
+def check_warnings(out, numbers):
     spreads = numbers[0:9:3]
     assert spreads[0] > spreads[2]
     assert numbers[8] < 3.0
@@ -87,7 +87,7 @@ CHECKS = {
     "my_camera": check_camera,
     "my_objects": check_objects,
     "linearize_in_drake": check_regulator,
-    "what_pushes_cannot_say": check_doubts,
+    "what_pushes_cannot_say": check_warnings,
 }
 
 

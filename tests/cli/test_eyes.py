@@ -11,8 +11,8 @@ from shapely import Polygon
 from gridpush_drake.geometry.se2 import compose, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import read_object_file
-from gridpush_drake.perception import SHEETS, Camera, TagBoard
-from gridpush_drake.perception.sheet import list_corners
+from gridpush_drake.perception import SHEET_SIZES, Camera, TagBoard
+from gridpush_drake.perception.calibration.sheet import list_corners
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.pictures import calc_outline_error, cover, make_camera, paint, paint_tag
@@ -398,7 +398,7 @@ def test_hints_of_where_the_object_is(capsys, folder):
 def test_object_beside_a_sheet_of_paper(capsys, tmp_path):
     """A phone's photograph is enough: nobody knows the camera, and there is no board of tags."""
     outline = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
-    paper = list_corners(SHEETS["a4"])[:, :2], (-0.1, 0.02, 0.3), 0.0, (235, 233, 228)
+    paper = list_corners(SHEET_SIZES["a4"])[:, :2], (-0.1, 0.02, 0.3), 0.0, (235, 233, 228)
     block = outline, (0.13, 0.02, 0.4), 0.02, (60, 90, 150)
     camera = make_camera(960, 720, 750.0, rpy=(210, 0, 0), at=(0.0, -0.35), distance=0.6)
     photo, out = tmp_path / "phone.png", tmp_path / "block.yaml"

@@ -7,11 +7,11 @@ import typer
 
 from gridpush_drake.cli.bench.group import BENCHES
 from gridpush_drake.cli.main import COMMANDS, app
-from gridpush_drake.pushes.importers import IMPORTERS
+from gridpush_drake.pushes.importers import IMPORTER_CLASSES
 from tests.helpers.command_line import run_gridpush
 
 PLAIN = [(name,) for name in COMMANDS if name not in ("bench", "import")]
-OTHERS = [("import", name) for name in IMPORTERS]
+OTHERS = [("import", name) for name in IMPORTER_CLASSES]
 
 
 def find_command(words):

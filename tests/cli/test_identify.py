@@ -9,8 +9,8 @@ from typing import get_args
 import pytest
 import yaml
 
-from gridpush_drake.cli import identify as command
-from gridpush_drake.identification.learning import METHODS
+from gridpush_drake.cli.learn import identify as command
+from gridpush_drake.identification.learning import METHOD_NAMES
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -41,7 +41,7 @@ def test_prints_one_json_document(gridpush, block, pushes, tmp_path):
 
 
 def test_offers_every_method():
-    assert get_args(command.Method) == METHODS
+    assert get_args(command.Method) == METHOD_NAMES
 
 
 def test_refuses_to_replace_a_file_before_it_begins(refuses, block, pushes, tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ import json
 import pytest
 
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.importers import IMPORTERS, find_importer
+from gridpush_drake.pushes.importers import IMPORTER_CLASSES, find_importer
 from gridpush_drake.pushes.importers.cmu import triangle_block
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shared_data import shared_data
@@ -49,7 +49,7 @@ def test_refuses(refuses, tmp_path, kind):
     refuses("import", kind, path, *outputs, says=["a.csv", "--force"])
 
 
-@pytest.mark.parametrize("name", IMPORTERS)
+@pytest.mark.parametrize("name", IMPORTER_CLASSES)
 def test_its_options_are_those_of_the_command(name, gridpush):
     outcome = gridpush("import", name, "--help")
     assert outcome.code == 0

@@ -10,9 +10,9 @@ import time
 
 import pytest
 
-from gridpush_drake.cli.interrupts import set_handlers
-from gridpush_drake.cli.output import LosableOutput, losable_outputs, safe_output
-from gridpush_drake.cli.robot import _stopping
+from gridpush_drake.cli.run.robot import _stopping
+from gridpush_drake.cli.shell.interrupts import set_handlers
+from gridpush_drake.cli.shell.output import LosableOutput, losable_outputs, safe_output
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="POSIX signals and terminals")
 

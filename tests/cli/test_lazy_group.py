@@ -39,7 +39,7 @@ def test_what_lists_the_commands_imports_none(args):
 def test_a_command_imports_itself_only():
     shown, imported = run_and_list_imports(["show", "--help"])
     assert "gridpush show" in shown
-    assert imported == ["gridpush_drake.cli.show"]
+    assert imported == ["gridpush_drake.cli.view.show"]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -90,7 +90,7 @@ def test_completion_in_the_shell_imports_no_command_to_list_them():
         "group = typer.main.get_command(app)\n"
         "context = group.make_context('gridpush', [], resilient_parsing=True)\n"
         "print(*[each.value for each in group.shell_complete(context, 'tra')])\n"
-        "print('gridpush_drake.cli.track' in sys.modules)\n"
+        "print('gridpush_drake.cli.camera.track' in sys.modules)\n"
     )
     printed = subprocess.run(
         [sys.executable, "-c", script], check=True, capture_output=True, text=True

@@ -10,25 +10,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.campaign import (
+from gridpush_drake.jobs.results import open_results
+from gridpush_drake.station.campaign.episodes import (
     GAVE_UP,
-    RECORDINGS,
-    SCENARIO,
-    Episode,
+    RECORDINGS_FOLDER,
+    SCENARIO_FILE,
     EpisodeJob,
+    EpisodeOutcome,
     describe_settings,
     run_episode,
 )
-from gridpush_drake.bench.lerobot_dataset import (
+from gridpush_drake.station.campaign.lerobot_dataset import (
     calc_picture_statistics,
     calc_statistics,
     count_brightnesses,
 )
-from gridpush_drake.bench.lerobot_frames import ACTION, ENVIRONMENT, PICTURES, STATE, make_frames
-from gridpush_drake.bench.results import open_results
-from gridpush_drake.station.run_recording import RecordingError, read_run
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import format_scenario
+from gridpush_drake.station.campaign.lerobot_frames import (
+    ACTION_FEATURE,
+    ENVIRONMENT_FEATURE,
+    PICTURES_FEATURE,
+    STATE_FEATURE,
+    make_frames,
+)
+from gridpush_drake.station.recording.run_recording import RecordingError, read_run
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import format_scenario
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.made_recordings import (
     SEEN_FROM,
@@ -54,17 +60,17 @@ def find_lerobot():
 def make_campaign(folder, ends, size=None, gripper=False):
     """Makes the folder of a campaign; the episode of seed i ends after ends[i] seconds."""
     scenario = PushScenario()
-    (folder / RECORDINGS).mkdir(parents=True)
-    (folder / SCENARIO).write_text(format_scenario(scenario))
+    (folder / RECORDINGS_FOLDER).mkdir(parents=True)
+    (folder / SCENARIO_FILE).write_text(format_scenario(scenario))
     settings = describe_settings("identify", scenario)
     results = open_results(folder / "episodes.jsonl", "campaign", settings)
     for seed, end in enumerate(ends):
         job = EpisodeJob("claw_hammer", seed, task="identify")
         outcome = GAVE_UP if seed else "finished"
-        episode = Episode("claw_hammer", seed, "finished", "It was poked.", outcome)
+        episode = EpisodeOutcome("claw_hammer", seed, "finished", "It was poked.", outcome)
         results.append(run_episode, job, episode)
         if end is not None:
-            write_made_run(folder / RECORDINGS / job.name_recording(), end, size, gripper)
+            write_made_run(folder / RECORDINGS_FOLDER / job.name_recording(), end, size, gripper)
     return folder
 
 
@@ -75,25 +81,25 @@ def test_a_frame_has_the_newest_of_everything_at_its_time(tmp_path):
     frames = make_frames(read_run(file))
     # The object is seen from 0.25 s on, and the joints are looked at up to 3 s
     assert len(frames) == 28
-    assert frames.names[STATE][:5] == ("joint_1", "joint_2", "tip_x", "tip_y", "tip_z")
-    assert frames.names[STATE][5:] == (
+    assert frames.names[STATE_FEATURE][:5] == ("joint_1", "joint_2", "tip_x", "tip_y", "tip_z")
+    assert frames.names[STATE_FEATURE][5:] == (
         "flange_force_x",
         "flange_force_y",
         "flange_force_z",
         "left",
         "right",
     )
-    assert frames.names[ACTION] == ("joint_1", "joint_2", "gripper_opening")
+    assert frames.names[ACTION_FEATURE] == ("joint_1", "joint_2", "gripper_opening")
     for k in (0, 1, 27):
         time = SEEN_FROM + k / 10
         noted = 0.2 + k / 10  # joints are noted every 0.1 s
-        np.testing.assert_allclose(frames.values[STATE][k, :2], find_joints(noted))
-        np.testing.assert_allclose(frames.values[STATE][k, 3], 0.1 * time)
-        np.testing.assert_allclose(frames.values[STATE][k, 5], noted)
-        np.testing.assert_allclose(frames.values[ACTION][k, :2], find_command(noted))
-        np.testing.assert_allclose(frames.values[ACTION][k, 2], 2 * noted)
+        np.testing.assert_allclose(frames.values[STATE_FEATURE][k, :2], find_joints(noted))
+        np.testing.assert_allclose(frames.values[STATE_FEATURE][k, 3], 0.1 * time)
+        np.testing.assert_allclose(frames.values[STATE_FEATURE][k, 5], noted)
+        np.testing.assert_allclose(frames.values[ACTION_FEATURE][k, :2], find_command(noted))
+        np.testing.assert_allclose(frames.values[ACTION_FEATURE][k, 2], 2 * noted)
         # The angle goes on beyond half a turn, though the recording has it from -pi to pi
-        np.testing.assert_allclose(frames.values[ENVIRONMENT][k], find_pose(time))
+        np.testing.assert_allclose(frames.values[ENVIRONMENT_FEATURE][k], find_pose(time))
         assert frames.pictures[k] == paint(np.floor(noted * 5 + 1e-6) / 5, SIZE)
 
 
@@ -149,7 +155,7 @@ def test_the_folder_is_that_of_the_format(capsys, tmp_path):
         "shape": [2],
         "names": ["joint_1", "joint_2"],
     }
-    assert info["features"][PICTURES]["shape"] == [*SIZE, 3]
+    assert info["features"][PICTURES_FEATURE]["shape"] == [*SIZE, 3]
 
     frames = parquet.read_table(out / "data/chunk-000/file-000.parquet").to_pydict()
     assert set(frames) == set(info["features"])
@@ -181,8 +187,8 @@ def test_the_folder_is_that_of_the_format(capsys, tmp_path):
 
 def test_files_of_frames_are_begun_anew_when_one_is_full(capsys, tmp_path, monkeypatch):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
-    monkeypatch.setattr("gridpush_drake.bench.lerobot_dataset.MAX_FILE_SIZE", 1e-3)
-    monkeypatch.setattr("gridpush_drake.bench.lerobot_dataset.CHUNK_SIZE", 2)
+    monkeypatch.setattr("gridpush_drake.station.campaign.lerobot_dataset.MAX_FILE_SIZE", 1e-3)
+    monkeypatch.setattr("gridpush_drake.station.campaign.lerobot_dataset.CHUNK_SIZE", 2)
     campaign = make_campaign(tmp_path / "campaign", [1.0, 1.0, 1.0])
     out = tmp_path / "dataset"
     assert run_gridpush(capsys, "export", campaign, "--lerobot", out).code == 0
@@ -206,9 +212,9 @@ def test_refuses(refuses, tmp_path):
     silent = make_campaign(tmp_path / "silent", [None])
     refuses("export", silent, *out, says=["none of its 1 episodes", "--record"])
     mixed = make_campaign(tmp_path / "mixed", [1.0, 1.0])
-    write_made_run(mixed / RECORDINGS / "claw_hammer-1.mcap", 1.0, SIZE)
+    write_made_run(mixed / RECORDINGS_FOLDER / "claw_hammer-1.mcap", 1.0, SIZE)
     refuses("export", mixed, *out, says=["claw_hammer-1.mcap", "other joints or pictures"])
-    (mixed / RECORDINGS / "claw_hammer-0.mcap").write_bytes(b"no recording")
+    (mixed / RECORDINGS_FOLDER / "claw_hammer-0.mcap").write_bytes(b"no recording")
     refuses("export", mixed, *out, says=["claw_hammer-0.mcap", "cannot be read"])
     (mixed / "episodes.jsonl").write_text("{}")
     refuses("export", mixed, *out, says=["episodes.jsonl", "the folder of a campaign"])

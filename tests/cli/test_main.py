@@ -9,7 +9,7 @@ import typer
 
 import gridpush_drake
 from gridpush_drake.cli.main import app
-from gridpush_drake.cli.options import OptionError, parse_numbers
+from gridpush_drake.cli.shell.options import OptionError, parse_numbers
 
 PATIENCE = 60
 """s after which a process that should have ended is given up."""

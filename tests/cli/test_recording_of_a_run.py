@@ -6,16 +6,16 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from gridpush_drake.cli.options import load_object
+from gridpush_drake.cli.shell.options import load_object
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.identification.result import calc_center_of_mass
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.rerun_replay import show_run
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.run_recorder import RunRecorder
-from gridpush_drake.station.run_recording import TOPICS, read_run
-from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.tasks import TASKS
+from gridpush_drake.station.recording.rerun_replay import show_run
+from gridpush_drake.station.recording.run_recorder import RunRecorder
+from gridpush_drake.station.recording.run_recording import TOPIC_TYPES, read_run
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario_file import read_scenario
+from gridpush_drake.station.tasks.registry import TASK_KINDS
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.rerun_files import ENTITIES, print_rerun
 from tests.helpers.two_processes import find_obstacle, run_in_namespace
@@ -39,7 +39,7 @@ def read_topics(path):
         for connection, time, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
             topics.setdefault(connection.topic, []).append((1e-9 * time, message))
-            assert TOPICS[connection.topic] == connection.msgtype
+            assert TOPIC_TYPES[connection.topic] == connection.msgtype
     return topics
 
 
@@ -64,7 +64,7 @@ def test_a_demo_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path):
     assert file.read_bytes().startswith(b"\x89MCAP0")
     topics = read_topics(file)
     of_others = {"/camera/color/compressed", "/gripper_states", "/gripper_command"}
-    assert topics.keys() == TOPICS.keys() - of_others
+    assert topics.keys() == TOPIC_TYPES.keys() - of_others
     times = [time for time, _ in topics["/joint_states"]]
     assert np.diff(times).min() > 0.05
     state = topics["/joint_states"][-1][1]
@@ -160,7 +160,7 @@ def test_the_episodes_of_a_campaign_are_recorded(capsys, tmp_path):
 def test_a_grippers_fingers_and_what_it_is_told_are_recorded(tmp_path):
     scenario = read_scenario("grasp")
     scenario.camera.use("ideal")
-    task = TASKS["pregrasp"].station(resolve(scenario))
+    task = TASK_KINDS["pregrasp"].station(resolve(scenario))
     recorder = RunRecorder()
     task.begin(0)
     task.simulator.AdvanceTo(0.1)

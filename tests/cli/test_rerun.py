@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.display.rerun_scene import DEVIATIONS, calc_ellipse
+from gridpush_drake.display.rerun_scene import ELLIPSE_SIGMAS, calc_ellipse
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.rerun_files import ENTITIES, print_rerun
 
@@ -19,7 +19,7 @@ def test_the_ellipse_is_that_of_the_covariance():
     covariance = np.array([[4.0, 1.0], [1.0, 2.0]])
     ring = calc_ellipse(np.array([1.0, -2.0]), covariance) - [1.0, -2.0]
     distances = np.einsum("ki,ij,kj->k", ring, np.linalg.inv(covariance), ring)
-    np.testing.assert_allclose(distances, DEVIATIONS**2)
+    np.testing.assert_allclose(distances, ELLIPSE_SIGMAS**2)
 
 
 def test_a_demo_is_written_for_the_viewer(capsys, tmp_path):

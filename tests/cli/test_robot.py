@@ -4,14 +4,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gridpush_drake.cli.robot import _look
-from gridpush_drake.cli.tracker import _find
-from gridpush_drake.cli.twin import read_robot_scenario
-from gridpush_drake.perception.tracking import NOT_SEEN, TrackedPose
+from gridpush_drake.cli.run.robot import _look
+from gridpush_drake.cli.run.tracker import _find
+from gridpush_drake.cli.run.twin import read_robot_scenario
+from gridpush_drake.perception.tracking.tracking import NOT_SEEN, TrackedPose
 from gridpush_drake.station.hardware.twin import MakeTwin
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.systems.base.messages import PushCommand
 from tests.helpers.renderer import require_renderer
 from tests.helpers.two_processes import SEEN_SCENARIO, find_obstacle, run_in_namespace
 
@@ -67,14 +67,14 @@ def test_what_does_not_suit_the_task_is_told_before_the_robot_is_spoken_to(
     def open_nothing(*_):
         raise AssertionError("a link was opened")
 
-    monkeypatch.setattr("gridpush_drake.cli.robot.open_link", open_nothing)
+    monkeypatch.setattr("gridpush_drake.cli.run.robot.open_link", open_nothing)
     path = tmp_path / "cell.yaml"
     path.write_text(text)
     refuses("robot", "--task", task, "--scenario", path, says=[f"{path}: ", *says])
 
 
 def test_what_does_not_suit_the_shipped_scenario_names_it_and_others(refuses, monkeypatch):
-    monkeypatch.delattr("gridpush_drake.cli.robot.open_link")
+    monkeypatch.delattr("gridpush_drake.cli.run.robot.open_link")
     says = ["error: grasp: others: empty", "The shipped scenarios separate, rearrange and fetch"]
     refuses("robot", "--task", "separate", says=says)
 
@@ -82,7 +82,7 @@ def test_what_does_not_suit_the_shipped_scenario_names_it_and_others(refuses, mo
 def test_a_twin_whose_messages_nobody_knows_is_refused_before_a_link_is_opened(
     refuses, monkeypatch, tmp_path
 ):
-    monkeypatch.delattr("gridpush_drake.cli.twin.open_link")
+    monkeypatch.delattr("gridpush_drake.cli.run.twin.open_link")
     path = tmp_path / "cell.yaml"
     path.write_text("robot: gantry\n")
     refuses("twin", "--scenario", path, says=[f"{path}: robot.yaml of gantry has no messages"])
@@ -92,7 +92,7 @@ def test_a_station_that_cannot_be_made_is_refused_before_the_robot_is_spoken_to(
     refuses, monkeypatch, tmp_path
 ):
     """Where the finger comes to is known only once there is a station."""
-    monkeypatch.delattr("gridpush_drake.cli.robot.open_link")
+    monkeypatch.delattr("gridpush_drake.cli.run.robot.open_link")
     path = tmp_path / "cell.yaml"
     path.write_text("workspace: {x: [0.42, 0.8], y: [-0.2, 0.4]}\ngoal: {pose: [0.6, -0.4, 0]}\n")
     says = [f"{path}: ", "goal.pose is [0.6, -0.4, 0]", "the finger does not come"]
@@ -174,7 +174,7 @@ def test_the_object_in_the_scene_has_the_height_that_its_file_gives(tmp_path, li
     sides = "outline: [[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]]\n"
     path.write_text(f"name: block\n{line}{sides}")
     scenario, obj = read_robot_scenario(None, str(path), 5)
-    resolved = resolve(scenario, told=obj)
+    resolved = resolve(scenario, known_object=obj)
     assert scenario.seed == 5
     assert resolved.obj.name == "block"
     twin = MakeTwin(resolved, lambda record: None)

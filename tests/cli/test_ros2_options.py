@@ -5,15 +5,15 @@ import sys
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.cli.open_link import check_robot
-from gridpush_drake.cli.ros_args import split_ros_arguments
+from gridpush_drake.cli.run.open_link import check_robot
+from gridpush_drake.cli.shell.ros_args import split_ros_arguments
 from gridpush_drake.errors import StationError
 from gridpush_drake.station.hardware import MakeTwin
 from gridpush_drake.station.links.ros2.ros2_robot import MakeRosRobot
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.robot import make_robot_directives
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.robot.robot import make_robot_directives
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import read_scenario
 from gridpush_drake.systems.robot_records import ArmStatus, GripperStatus, PoseObservation
 
 

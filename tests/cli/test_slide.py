@@ -41,7 +41,7 @@ def test_plans_draws_and_writes(gridpush, pan, tmp_path):
 
 
 def test_refuses_an_object_of_160_m_before_anything_is_planned(refuses, tmp_path, monkeypatch):
-    monkeypatch.delattr("gridpush_drake.cli.slide.plan_pregrasp")
+    monkeypatch.delattr("gridpush_drake.cli.run.slide.plan_pregrasp")
     plate = GridObject.from_outline(shapely.box(-80, -1, 80, 1), max_cells=40, name="plate")
     plate.write_yaml(tmp_path / "plate.yaml")
     refuses(

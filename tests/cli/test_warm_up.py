@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gridpush_drake.cli import kernels
+from gridpush_drake.cli.shell import kernels
 from gridpush_drake.dynamics.kernels import compiled
 from gridpush_drake.dynamics.kernels.rollout import rollout
 
@@ -26,8 +26,8 @@ def test_other_processes_compile_while_this_one_does_something_else(monkeypatch,
     code = "import pathlib, time; pathlib.Path({!r}).touch(); time.sleep(60)"
     monkeypatch.setattr(kernels, "is_compiled", lambda: False)
     monkeypatch.setattr(kernels, "compile_all", lambda: pytest.fail("compiled at once"))
-    monkeypatch.setattr(kernels, "REST", code.format(str(began[0])))
-    monkeypatch.setattr(kernels, "APART", code.format(str(began[1])))
+    monkeypatch.setattr(kernels, "THIRD_PROCESS_CODE", code.format(str(began[0])))
+    monkeypatch.setattr(kernels, "SECOND_PROCESS_CODE", code.format(str(began[1])))
     begin = time.monotonic()
     with kernels.compiling_meanwhile():
         while not all(each.exists() for each in began):
@@ -49,7 +49,7 @@ def test_what_is_compiled_starts_no_other_process(monkeypatch):
 @pytest.mark.parametrize("code", ["raise SystemExit(3)", "import time; time.sleep(60)", "1 +"])
 def test_a_second_process_that_fails_or_hangs_is_not_needed(gridpush, monkeypatch, code):
     monkeypatch.setattr(kernels, "is_compiled", lambda: False)
-    monkeypatch.setattr(kernels, "APART", code)
-    monkeypatch.setattr(kernels, "PATIENCE", 0.1)
+    monkeypatch.setattr(kernels, "SECOND_PROCESS_CODE", code)
+    monkeypatch.setattr(kernels, "MAX_COMPILE_WAIT", 0.1)
     outcome = gridpush("warm-up")
     assert (outcome.code, outcome.err) == (0, "")

@@ -10,7 +10,7 @@ from gridpush_drake.display import film
 from gridpush_drake.display.film import (
     CAPTION_HEIGHT,
     FRAMES_PER_SECOND,
-    SIZE,
+    SCENE_SIZE,
     add_strip,
     check_film,
     draw_legend,
@@ -97,7 +97,7 @@ def calc_banding(shade, picture):
 def test_shades_blend_in_a_gif_and_stand_still(monkeypatch):
     shade, (first, second) = pack_shades()
     np.testing.assert_array_equal(first, second)
-    monkeypatch.setattr(film, "DITHER", 0.0)
+    monkeypatch.setattr(film, "DITHER_AMPLITUDE", 0.0)
     banded = pack_shades()[1][0]
     assert calc_banding(shade, first) < 0.8 * calc_banding(shade, banded)
 
@@ -135,15 +135,15 @@ def test_a_film_shows_what_moves(tmp_path, ending):
             np.asarray(frame.convert("RGB")).astype(int) for frame in ImageSequence.Iterator(image)
         ]
     assert len(pictures) == round(0.5 * FRAMES_PER_SECOND)
-    assert pictures[0].shape[:2] > (SIZE[1] + CAPTION_HEIGHT, SIZE[0] - 1)
-    corner = pictures[0][: SIZE[1] // 2, 2 * SIZE[0] // 3 :]
+    assert pictures[0].shape[:2] > (SCENE_SIZE[1] + CAPTION_HEIGHT, SCENE_SIZE[0] - 1)
+    corner = pictures[0][: SCENE_SIZE[1] // 2, 2 * SCENE_SIZE[0] // 3 :]
     assert ((corner[..., 0] > 100) & (corner[..., 0] > 2 * corner[..., 1])).sum() > 5000
     for picture in pictures:
-        picture[: SIZE[1] // 2, 2 * SIZE[0] // 3 :] = 0
-        picture[SIZE[1] :] = 0
+        picture[: SCENE_SIZE[1] // 2, 2 * SCENE_SIZE[0] // 3 :] = 0
+        picture[SCENE_SIZE[1] :] = 0
     places = []
     for picture in (pictures[0], pictures[-1]):
         red = (picture[..., 0] > 100) & (picture[..., 0] > 2 * picture[..., 1])
         assert red.sum() > 1000
         places.append(np.flatnonzero(red.any(axis=0)).mean())
-    assert places[1] - places[0] > SIZE[0] / 8
+    assert places[1] - places[0] > SCENE_SIZE[0] / 8

@@ -29,7 +29,7 @@ def area_at(mesh, height):
 
 def test_cells_have_their_area_at_the_top_and_four_walls_each():
     obj = make_shape("l_bracket", 40)
-    mesh = make_cell_prisms(obj, HEIGHT, share=0.9)
+    mesh = make_cell_prisms(obj, HEIGHT, fraction=0.9)
     side = 0.9 * obj.cell_size
     assert area_at(mesh, HEIGHT) == pytest.approx(obj.n * side**2)
     assert areas(mesh).sum() == pytest.approx(obj.n * (side**2 + 4 * side * HEIGHT))

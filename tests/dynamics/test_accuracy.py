@@ -165,14 +165,14 @@ def test_an_overlap_is_undone_by_a_pusher_that_only_rests():
 
 @pytest.mark.parametrize("share", [1e-9, 1e-6, 1e-4, 1e-2])
 @pytest.mark.parametrize("regime", REGIMES)
-def test_wanted_times_just_after_a_step_change_nothing(regime, share):
+def test_wanted_times_just_after_a_step_change_nothing(regime, fraction):
     """In a step much shorter than the others what is left of an overlap, or a rounding error, would be a speed."""
     obj, rng = make_shape("claw_hammer", 60), np.random.default_rng(0)
     for _ in range(10):
         params, push = make_random_contents(rng, obj), make_random_push(rng, obj, length=0.1)
         times = make_path_times(push, regime)
         cut = 1 + rng.choice(len(times) - 2, 20, replace=False)
-        wanted = np.sort(times[cut] + share * np.diff(times)[cut])
+        wanted = np.sort(times[cut] + fraction * np.diff(times)[cut])
         both = make_times_with(push, wanted, regime)
         assert np.isin(wanted, both).all()
         one, two = (

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.cell_pooling import POOLED_FROM, CellPooling
-from gridpush_drake.dynamics.kernels.isotropic_friction import add_isotropic
-from gridpush_drake.dynamics.kernels.pooled_loads import Pool, gather_points
+from gridpush_drake.dynamics.kernels.friction.isotropic_friction import add_isotropic
+from gridpush_drake.dynamics.kernels.friction.pooled_loads import Pool, gather_points
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.dynamics.push import make_path_times
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch

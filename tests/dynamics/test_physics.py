@@ -40,7 +40,7 @@ def make_disc(max_cells=1200, radius=0.05):
 def test_sliding_body_stops_after_v2_over_2_mu_g(outline):
     """Coulomb: the deceleration is mu g, so the way is v²/(2 mu g), in any direction, whatever the shape.
 
-    The implicit step loses v dt/2 of it, a share of mu g dt/v; with steps of 0.2 ms that is 0.08 %.
+    The implicit step loses v dt/2 of it, a fraction of mu g dt/v; with steps of 0.2 ms that is 0.08 %.
     """
     obj = GridObject.from_outline(outline, max_cells=60)
     v, mu = 1.0, 0.4
@@ -152,20 +152,20 @@ def test_energy_never_rises_without_a_push(law, spin):
 
 
 @pytest.mark.parametrize("share, moves", [(0.99, False), (1.01, True)])
-def test_below_the_static_limit_a_body_does_not_creep(share, moves):
+def test_below_the_static_limit_a_body_does_not_creep(fraction, moves):
     """Coulomb: at rest up to mu m g, or up to the moment of all cells' friction. Ten seconds at 99 % of either."""
     obj = make_shape("square", 100)
     params = CellParameters.uniform(obj, total_mass=1.2, friction=0.35)
     limit = 0.35 * 1.2 * G
-    push = ForcePush((0.0, 0.0), (0.6 * share * limit, 0.8 * share * limit), 10.0)
+    push = ForcePush((0.0, 0.0), (0.6 * fraction * limit, 0.8 * fraction * limit), 10.0)
     result = simulate(Model(obj, params), push, (0.1, 0.2, 0.3))
     way = np.abs(obj.cells_at(result.poses) - obj.cells_at(result.poses[0])).max()
-    print(f"{share}: the cells move by {way:.2e} m in 10 s")
+    print(f"{fraction}: the cells move by {way:.2e} m in 10 s")
     assert (way > 0.1) if moves else (way < 1e-6)
 
 
 @pytest.mark.parametrize("share, moves", [(0.99, False), (1.01, True)])
-def test_below_the_limit_of_an_eccentric_force_a_body_does_not_creep(share, moves):
+def test_below_the_limit_of_an_eccentric_force_a_body_does_not_creep(fraction, moves):
     """The limit is found by bisection on one step from rest: the reference cone program says what moves."""
     from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_socp
 
@@ -186,9 +186,9 @@ def test_below_the_limit_of_an_eccentric_force_a_body_does_not_creep(share, move
     for _ in range(40):
         middle = (low + high) / 2
         low, high = (low, middle) if starts(middle) > 1e-11 else (middle, high)
-    result = simulate(Model(obj, params), ForcePush(point, share * high * direction, 10.0))
+    result = simulate(Model(obj, params), ForcePush(point, fraction * high * direction, 10.0))
     way = np.abs(obj.cells_at(result.poses[: 200 if moves else None]) - obj.p_BC).max()
-    print(f"{share} of {high:.3f} N: the cells move by {way:.2e} m")
+    print(f"{fraction} of {high:.3f} N: the cells move by {way:.2e} m")
     assert (way > 1e-3) if moves else (way < 1e-6)
 
 

@@ -5,9 +5,9 @@ from dataclasses import fields, replace
 
 import pytest
 
-from gridpush_drake.dynamics.kernels.friction import LAWS, register_friction_law
-from gridpush_drake.dynamics.kernels.isotropic_friction import ISOTROPIC
-from gridpush_drake.dynamics.kernels.lagged_friction import LAGGED
+from gridpush_drake.dynamics.kernels.friction.isotropic_friction import ISOTROPIC_LAW
+from gridpush_drake.dynamics.kernels.friction.lagged_friction import LAGGED_LAW
+from gridpush_drake.dynamics.kernels.friction.laws import FRICTION_LAWS, register_friction_law
 from gridpush_drake.dynamics.physics import FAST_PUSH, QUASI_STATIC, Physics, make_physics
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulation import simulate
@@ -125,11 +125,11 @@ def test_the_default_method_refuses_a_law_without_gradients():
 
 
 def test_a_law_is_registered_once_and_by_a_name_of_its_own():
-    before = dict(LAWS)
-    register_friction_law(ISOTROPIC)
-    assert before == LAWS
+    before = dict(FRICTION_LAWS)
+    register_friction_law(ISOTROPIC_LAW)
+    assert before == FRICTION_LAWS
     with pytest.raises(SimulationError, match="the name is taken by the law of Isotropic"):
-        register_friction_law(replace(LAGGED, name="isotropic"))
+        register_friction_law(replace(LAGGED_LAW, name="isotropic"))
     with pytest.raises(SimulationError, match="its data class Lagged is that of 'lagged'"):
-        register_friction_law(replace(LAGGED, name="late"))
-    assert before == LAWS
+        register_friction_law(replace(LAGGED_LAW, name="late"))
+    assert before == FRICTION_LAWS

@@ -5,9 +5,22 @@ import pytest
 from shapely import Point
 
 from gridpush_drake.dynamics.kernel_call import run_kernel
-from gridpush_drake.dynamics.kernels.contact import COLUMNS, CX, CY, NX, NY, Edges, find_contacts
-from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, SLIDE_MINUS, SLIDE_PLUS, STICK
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.contact.contact import (
+    CONTACT_COLUMNS,
+    CX,
+    CY,
+    NX,
+    NY,
+    Edges,
+    find_contacts,
+)
+from gridpush_drake.dynamics.kernels.contact.contact_modes import (
+    SEPARATE,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    STICK,
+)
+from gridpush_drake.dynamics.kernels.friction.friction_law import SPIN_LEVER_ARM
 from gridpush_drake.dynamics.kernels.inputs import Load
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
@@ -170,7 +183,7 @@ def walk_contacts(obj, params, push, regime, ahead=0.0):
         c, s = np.cos(run.poses[t, 2]), np.sin(run.poses[t, 2])
         R = np.array([[c, -s], [s, c]])
         center, v_tip = R.T @ (tip[t] - run.poses[t, :2]), R.T @ (tip[t + 1] - tip[t]) / dts[t]
-        found = np.zeros((2, COLUMNS))
+        found = np.zeros((2, CONTACT_COLUMNS))
         find_contacts(kernel_edges, *center, push.radius, 0.01, found)
         touching = []
         for j in range(2):
@@ -217,7 +230,7 @@ def test_coulomb_s_law_holds_at_every_contact_and_the_forces_balance_the_support
                     )  # friction on the object opposes its slip
             elif regime == "quasi_static" and values[1]:
                 (ux, uy, w), touching = values
-                kappa2 = (SPIN_ARM * obj.cell_size) ** 2
+                kappa2 = (SPIN_LEVER_ARM * obj.cell_size) ** 2
                 vx, vy = ux - w * y, uy + w * x
                 s = np.sqrt(vx**2 + vy**2 + kappa2 * w**2)
                 support = np.array(

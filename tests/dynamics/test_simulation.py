@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.kernels.isotropic_friction import Isotropic
+from gridpush_drake.dynamics.kernels.friction.isotropic_friction import Isotropic
 from gridpush_drake.dynamics.kernels.rollout import rollout
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import ForcePush, Push, make_path_times

@@ -34,7 +34,7 @@ from gridpush_drake.pushes.importers.bag import BagImporter
 from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.importers.mit import MitImporter
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.schema.scenario_file import read_scenario
 from tests.helpers.made_identifications import make_block
 
 READERS = [

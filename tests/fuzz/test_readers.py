@@ -16,8 +16,8 @@ from gridpush_drake.identification.prediction import predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import WeighingLog
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.pushes.weighings import MassTestLog
+from gridpush_drake.station.schema.scenario_file import read_scenario
 from tests.fuzz.mutations import broken
 from tests.helpers.made_identifications import make_block, make_identification
 
@@ -177,7 +177,7 @@ def test_push_logs(place, block, text):
 @few(100)
 @given(text=broken(WEIGHINGS))
 def test_weighings(place, text):
-    survives(place / "weighings.csv", text, WeighingLog.read_csv)
+    survives(place / "weighings.csv", text, MassTestLog.read_csv)
 
 
 @few(150)

@@ -15,12 +15,19 @@ from gridpush_drake.errors import ObjectError, PlanningError
 from gridpush_drake.geometry.se2 import transform_back, wrap_angle
 from gridpush_drake.gym import PushEnvironment, PushVectorEnvironment
 from gridpush_drake.gym.environments import PICTURE_SIZE
-from gridpush_drake.gym.games import GAMES, PER_METER, REACHED
-from gridpush_drake.gym.known_shape import FINGER, OCCUPIED, PIXELS, PLACES, WINDOW, load_shape
+from gridpush_drake.gym.games import GAME_CLASSES, GOAL_TOLERANCE, PER_METER
+from gridpush_drake.gym.known_shape import (
+    FINGER_OPTIONS,
+    OCCUPIED_VALUE,
+    PICTURE_PIXELS,
+    PICTURE_SIDE,
+    PLACE_COUNT,
+    load_shape,
+)
 from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.contact.trial import calc_goal_error
 
-NAMES = tuple(GAMES)
+NAMES = tuple(GAME_CLASSES)
 
 
 @pytest.mark.parametrize("camera", [False, True])
@@ -101,7 +108,9 @@ def test_an_action_is_that_push_and_the_push_that_action():
         push = shape.make_push(action, pose)
         np.testing.assert_allclose(shape.find_action(push, pose), action, atol=1e-5)
         gap = shape.obj.outline.distance(Point(transform_back(pose, push.start[None])[0]))
-        assert gap == pytest.approx(FINGER.pusher.radius + FINGER.pusher.clearance, abs=1e-6)
+        assert gap == pytest.approx(
+            FINGER_OPTIONS.pusher.radius + FINGER_OPTIONS.pusher.clearance, abs=1e-6
+        )
 
 
 def test_a_push_moves_the_object_as_the_model_says():
@@ -135,7 +144,7 @@ def test_the_goal_is_won_where_the_object_lies_at_it():
     env.reset(seed=0)
     action = np.array([0.0, 0.0, -0.8], dtype=np.float32)
     goal = env.game.play([env.episode], [action])[0].episode.true_pose
-    object.__setattr__(env.episode, "goal", goal + [REACHED / 2, 0.0, 0.0])
+    object.__setattr__(env.episode, "goal", goal + [GOAL_TOLERANCE / 2, 0.0, 0.0])
     _, _, terminated, cut_off, info = env.step(action)
     assert (terminated, cut_off, info["is_success"]) == (True, False, True)
 
@@ -156,7 +165,7 @@ def test_an_object_pushed_on_and_on_falls_and_the_episode_ends():
         place = int(
             np.argmax(normals - 5 * np.abs(shape.outline[:, :2] @ [np.sin(theta), np.cos(theta)]))
         )
-        action = np.array([2 * place / PLACES - 1, 0.0, 1.0], dtype=np.float32)
+        action = np.array([2 * place / PLACE_COUNT - 1, 0.0, 1.0], dtype=np.float32)
         _, reward, ended, cut_off, info = env.step(action)
         assert not cut_off
     after = env.episode
@@ -209,7 +218,7 @@ def test_hidden_masses_differ_by_seed_and_are_not_seen():
 
 def test_occupancy_has_the_object_s_area_and_pictures_show_it():
     shape = load_shape("claw_hammer")
-    area = (shape.occupancy == OCCUPIED).sum() * (WINDOW / PIXELS) ** 2
+    area = (shape.occupancy == OCCUPIED_VALUE).sum() * (PICTURE_SIDE / PICTURE_PIXELS) ** 2
     assert area == pytest.approx(shape.obj.n * shape.obj.cell_size**2, rel=0.1)
     env = PushEnvironment("SlideToEdge", render_mode="rgb_array", objects=["claw_hammer"])
     assert env.render() is None

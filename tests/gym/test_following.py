@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 import gridpush_drake.gym  # noqa: F401
 from gridpush_drake.errors import ObjectError, PlanningError
 from gridpush_drake.gym import FollowEnvironment
-from gridpush_drake.gym.following import FINGER, PATH_LENGTH, PERIOD
+from gridpush_drake.gym.following import PATH_LENGTH, STEERED_FINGER, STEP_PERIOD
 from gridpush_drake.planning.feedback import FollowOptions, PushFollower
 
 NAME = "combination_wrench"
@@ -55,7 +55,9 @@ def test_an_action_is_a_velocity_and_poses_come_late():
     away = begin - seen["pose"][:2]
     way = away / np.linalg.norm(away)
     seen, reward, won, cut_off, _ = env.step(3.0 * way)
-    assert seen["tip"] - begin == pytest.approx(PERIOD * FINGER.walking_speed * way, abs=1e-6)
+    assert seen["tip"] - begin == pytest.approx(
+        STEP_PERIOD * STEERED_FINGER.walking_speed * way, abs=1e-6
+    )
     assert seen["age"] == pytest.approx(0.1, abs=0.021)
     assert not won and not cut_off
     assert reward < 0.0  # it costs time
@@ -87,7 +89,7 @@ def play_follower(env, seed):
         episode.shape.obj,
         episode.hidden,
         episode.path,
-        FINGER,
+        STEERED_FINGER,
         options=FollowOptions(draws=0, position_tolerance=0.003),
         seed=seed,
     )
@@ -98,7 +100,7 @@ def play_follower(env, seed):
         for each in episode.came:
             follower.add_pose(each.time, each.pose)
         decision = follower.decide(episode.world.time, episode.world.tip)
-        _, reward, won, cut_off, info = env.step(decision.velocity / FINGER.walking_speed)
+        _, reward, won, cut_off, info = env.step(decision.velocity / STEERED_FINGER.walking_speed)
         total += reward
         ended = won or cut_off
     return info, total

@@ -9,8 +9,8 @@ from gridpush_drake.bench.pusht.experiments import BAR, STEM
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.gym import PushEnvironment, PushTHidden
 from gridpush_drake.gym.games import (
+    INITIAL_POKES,
     PER_METER,
-    POKES,
     T_DISTANCE,
     T_OUTLINE,
     T_REACHED,
@@ -45,17 +45,17 @@ def test_it_is_the_t_of_pusht():
 
 def test_pokes_are_seen_before_and_are_no_strokes(env):
     episode = env.episode
-    assert len(episode.pushes) == POKES
+    assert len(episode.pushes) == INITIAL_POKES
     for _ in range(3):
         _, _, terminated, cut_off, _ = env.step(np.array([0.0, 0.0, -1.0]))
         assert not cut_off and not terminated
     assert env.step(np.array([0.0, 0.0, -1.0]))[3]
-    assert len(env.episode.pushes) == POKES + 4
+    assert len(env.episode.pushes) == INITIAL_POKES + 4
 
 
 def test_the_observation_tells_of_the_pokes(env):
     observation, _ = env.reset(seed=6)
-    rows = observation["pokes"].reshape(POKES, 6)
+    rows = observation["pokes"].reshape(INITIAL_POKES, 6)
     shape = env.episode.shape
     for row, seen in zip(rows, env.episode.pushes, strict=True):
         again = shape.make_push(row[:3], seen.pose)
@@ -100,5 +100,5 @@ def test_coming_within_5_mm_wins(env):
 def test_it_is_registered():
     made = gymnasium.make("gridpush/PushTHidden-v0", disable_env_checker=True)
     observation, info = made.reset(seed=0)
-    assert observation["pokes"].shape == (6 * POKES,)
+    assert observation["pokes"].shape == (6 * INITIAL_POKES,)
     assert info["score"] > T_REACHED

@@ -10,12 +10,12 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
-from gridpush_drake.station.arm_driver import AddArmDriver, AddArmKinematics
-from gridpush_drake.station.robot import AddRobot, find_robot
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.systems.messages import PushCommand
-from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions
+from gridpush_drake.station.robot.arm import ArmReach, CalcStartPosture, MakeControlPlant
+from gridpush_drake.station.robot.arm_driver import AddArmDriver, AddArmKinematics
+from gridpush_drake.station.robot.robot import AddRobot, find_robot
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.systems.base.messages import PushCommand
+from gridpush_drake.systems.execution.push_executor import PushExecutor, PushTrajectoryOptions
 
 ROBOT = find_robot(PushScenario().directives)
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-from gridpush_drake.display.film import BROWSERS, FLAGS
+from gridpush_drake.display.film import BROWSER_FLAGS, BROWSER_NAMES
 
 SIZE = (1280, 800)
 """Of a picture, pixels."""
@@ -42,7 +42,7 @@ HUE_TOLERANCE = 0.1
 """Within which two hues count as one, rad."""
 
 MIN_SATURATION = 0.6
-"""Share of a color's saturation that gloss must leave it."""
+"""Fraction of a color's saturation that gloss must leave it."""
 
 MIN_LIGHT = 0.02
 """Sum of linear red, green and blue below which a pixel has no hue to speak of; white has 3."""
@@ -51,7 +51,7 @@ MIN_LIGHT = 0.02
 @cache
 def find_chromium() -> str | None:
     """The browser's path; None where there is none."""
-    return next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    return next((path for name in BROWSER_NAMES if (path := shutil.which(name))), None)
 
 
 def require_chromium() -> str:
@@ -85,7 +85,7 @@ def take_picture(
     with tempfile.TemporaryDirectory(prefix="chromium-", ignore_cleanup_errors=True) as folder:
         picture = Path(folder) / "picture.png"
         command = [
-            browser, *FLAGS, f"--user-data-dir={folder}/profile", f"--window-size={size[0]},{size[1]}",
+            browser, *BROWSER_FLAGS, f"--user-data-dir={folder}/profile", f"--window-size={size[0]},{size[1]}",
             f"--virtual-time-budget={virtual_time}", f"--screenshot={picture}", address,
         ]  # fmt: skip
         done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST)
@@ -106,7 +106,7 @@ def read_page(page: str | Path, *, virtual_time: int = READ_TIME) -> str:
     browser = require_chromium()
     address = page.resolve().as_uri() if isinstance(page, Path) else page
     with tempfile.TemporaryDirectory(prefix="chromium-", ignore_cleanup_errors=True) as folder:
-        command = [browser, *FLAGS, f"--user-data-dir={folder}"]
+        command = [browser, *BROWSER_FLAGS, f"--user-data-dir={folder}"]
         command += [f"--virtual-time-budget={virtual_time}", "--dump-dom", address]
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=LONGEST)
     return done.stdout

@@ -10,7 +10,7 @@ STENCILS = {2: ((1, 1 / 2),), 4: ((1, 2 / 3), (2, -1 / 12))}
 h)) / h."""
 
 X_FLOOR = 1e-3
-"""Least |x_j| that a step is scaled to, as a share of the largest |x|."""
+"""Least |x_j| that a step is scaled to, as a fraction of the largest |x|."""
 
 
 def calc_finite_difference(

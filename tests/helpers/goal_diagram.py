@@ -14,11 +14,11 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.pushes.segmentation import RecordOptions
-from gridpush_drake.systems.contact_point_controller import ContactPointController
-from gridpush_drake.systems.grid_identifier import DEFAULT_PERIOD, GridIdentifier
-from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
-from gridpush_drake.systems.messages import ContactPointStatus
-from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions
+from gridpush_drake.systems.base.messages import ContactPointStatus
+from gridpush_drake.systems.control.contact_point_controller import ContactPointController
+from gridpush_drake.systems.dynamics.grid_lcp_system import GridLcpSystem
+from gridpush_drake.systems.execution.push_executor import PushExecutor, PushTrajectoryOptions
+from gridpush_drake.systems.learning.grid_identifier import DEFAULT_PERIOD, GridIdentifier
 from tests.helpers.poke_diagram import OBJECT_HEIGHT, Camera, IdealFinger
 
 STYLE = PushTrajectoryOptions(travel_speed=0.6, vertical_speed=0.4)

@@ -11,7 +11,7 @@ from gridpush_drake.station.hardware.twin import MakeTwin
 from gridpush_drake.station.hardware.twin_link import TwinLink
 from gridpush_drake.station.links.in_process import InProcessLink
 from gridpush_drake.station.links.link import ARM_PERIOD, LinkMessage
-from gridpush_drake.station.resolve import ResolvedScenario
+from gridpush_drake.station.scene.resolve import ResolvedScenario
 
 Spoiler = Callable[[float, LinkMessage], list[LinkMessage]]
 """Of the twin's time, s, and a record: what comes instead."""

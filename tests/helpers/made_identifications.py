@@ -5,8 +5,8 @@ import numpy as np
 from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
+from gridpush_drake.identification.statistics.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 

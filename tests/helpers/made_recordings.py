@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from gridpush_drake.pushes.segmentation import Sample
-from gridpush_drake.station.run_recorder import RunRecorder
-from gridpush_drake.station.run_recording import (
+from gridpush_drake.station.recording.run_recorder import RunRecorder
+from gridpush_drake.station.recording.run_recording import (
     GRIPPER_COMMAND_TOPIC,
     GRIPPER_TOPIC,
     PICTURE_TOPIC,

@@ -127,9 +127,9 @@ def paint_tag(color, camera, number, corners, seed=0):
             inside = ((places > low) & (places < high)).all(axis=-1)
             total[part] += values * inside
             weight[part] += inside
-    share = (weight / FINE**2)[..., None]
+    fraction = (weight / FINE**2)[..., None]
     shade = 0.85 * total / np.maximum(weight, 1) + 15
     noise = 2.0 * np.random.default_rng((seed, number)).standard_normal(shade.shape)
-    return np.clip(share * (shade + noise)[..., None] + (1 - share) * color, 0, 255).astype(
+    return np.clip(fraction * (shade + noise)[..., None] + (1 - fraction) * color, 0, 255).astype(
         np.uint8
     )

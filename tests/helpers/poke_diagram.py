@@ -16,10 +16,10 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.exploration import PokeRegion, RandomPokeOptions, RandomPokes
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.segmentation import RecordOptions
-from gridpush_drake.systems.grid_identifier import DEFAULT_PERIOD, GridIdentifier
-from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
-from gridpush_drake.systems.poke_policy import PokePolicy
-from gridpush_drake.systems.push_executor import PushExecutor
+from gridpush_drake.systems.control.poke_policy import PokePolicy
+from gridpush_drake.systems.dynamics.grid_lcp_system import GridLcpSystem
+from gridpush_drake.systems.execution.push_executor import PushExecutor
+from gridpush_drake.systems.learning.grid_identifier import DEFAULT_PERIOD, GridIdentifier
 
 OBJECT_HEIGHT = 0.04
 FINGER_PERIOD = 0.005
@@ -80,15 +80,15 @@ class Camera(LeafSystem):
 class Spoiler(LeafSystem):
     """Passes a vector on, in spells with NaN in some of its numbers, drawn from (seed, count of the spell)."""
 
-    def __init__(self, size: int, share: float, seed: int, spell: float = 0.25) -> None:
+    def __init__(self, size: int, fraction: float, seed: int, spell: float = 0.25) -> None:
         super().__init__()
-        self._size, self._share, self._seed, self._spell = size, share, seed, spell
+        self._size, self._fraction, self._seed, self._spell = size, fraction, seed, spell
         self.DeclareVectorInputPort("good", size)
         self.DeclareVectorOutputPort("spoiled", size, self._calc)
 
     def _calc(self, context: Context, output: Any) -> None:
         rng = np.random.default_rng((self._seed, int(context.get_time() / self._spell)))
-        bad = (rng.random(self._size) < 0.5) & (rng.random() < self._share)
+        bad = (rng.random(self._size) < 0.5) & (rng.random() < self._fraction)
         output.SetFromVector(np.where(bad, np.nan, self.GetInputPort("good").Eval(context)))
 
 
@@ -113,7 +113,7 @@ def make_poke_diagram(
     spoiled: float = 0.0,
     **options: Any,
 ) -> PokeDiagram:
-    """Makes it; `spoiled` is the share of time with NaN in what is measured; `options` go to the identifier."""
+    """Makes it; `spoiled` is the fraction of time with NaN in what is measured; `options` go to the identifier."""
     builder = DiagramBuilder()
     style = style or RandomPokeOptions()
     world = builder.AddSystem(GridLcpSystem(Model(obj, truth), pusher_radius=style.tip_radius))

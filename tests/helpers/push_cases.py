@@ -119,7 +119,7 @@ def check_case(case, shape, seed):
 def make_random_case(shape, seed, regime, spin, push_height=0.0, overhang=None):
     """A random curved push of a random object, which moves at the beginning where the seed is odd.
 
-    With `overhang` that share of its length hangs over an edge whose direction is random.
+    With `overhang` that fraction of its length hangs over an edge whose direction is random.
     """
     rng = np.random.default_rng(seed)
     obj = make_shape(shape, 20)
@@ -139,7 +139,7 @@ def make_random_case(shape, seed, regime, spin, push_height=0.0, overhang=None):
 
 
 def make_table_edge(obj, pose, angle, overhang):
-    """A large table beyond whose edge, with its normal at an angle, a share of the object's length hangs."""
+    """A large table beyond whose edge, with its normal at an angle, a fraction of the object's length hangs."""
     normal, along = make_direction(angle), make_direction(angle + np.pi / 2)
     reached = obj.cells_at(pose) @ normal
     edge = reached.max() - overhang * np.ptp(reached)

@@ -3,7 +3,7 @@
 import pytest
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.camera import check_renderer
+from gridpush_drake.station.scene.camera import check_renderer
 
 
 def require_renderer():

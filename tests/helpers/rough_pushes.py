@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
+from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
 from gridpush_drake.geometry.se2 import Array, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.contact_kernels import MIN_SPEED
-from gridpush_drake.planning.contact.limit_surface import STEPS, make_distance_table
+from gridpush_drake.planning.contact.limit_surface import PUSH_STEPS, make_distance_table
 
 
 def predict_roughly(
@@ -29,19 +29,19 @@ def predict_roughly(
         radius: of the disc, m.
 
     Returns:
-        (STEPS, N, 3) poses (x, y, theta) of the body frame after each step, m and rad.
+        (PUSH_STEPS, N, 3) poses (x, y, theta) of the body frame after each step, m and rad.
     """
     table = make_distance_table(obj, radius)
     k = params.relative_friction()  # sums to one, so that f_max = 1 and lambda = m_max
     c = k @ obj.p_BC
-    arm = np.hypot(np.linalg.norm(obj.p_BC - c, axis=1), calc_spin_arm(obj, params))
+    arm = np.hypot(np.linalg.norm(obj.p_BC - c, axis=1), calc_spin_lever_arm(obj, params))
     inverse = 1.0 / float(k @ arm) ** 2  # 1 / lambda²
-    h = distance / STEPS
+    h = distance / PUSH_STEPS
     # The center of friction of every push, and how far the body has turned.
     center = np.tile(c, (len(start), 1))
     theta = np.zeros(len(start))
-    poses = np.empty((STEPS, len(start), 3))
-    for step in range(STEPS):
+    poses = np.empty((PUSH_STEPS, len(start), 3))
+    for step in range(PUSH_STEPS):
         # The tip, and its motion u in this step, seen from the body; the contact below the tip.
         p_tip = rotate(-theta, start + h * step * direction - center)
         u = h * rotate(-theta, direction)

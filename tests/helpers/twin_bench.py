@@ -10,8 +10,7 @@ from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.objects.object_file import dump_object
-from gridpush_drake.perception.tracking import TrackedPose
-from gridpush_drake.station.camera import make_camera
+from gridpush_drake.perception.tracking.tracking import TrackedPose
 from gridpush_drake.station.hardware.hardware_link import HardwareLink
 from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation
 from gridpush_drake.station.hardware.picture_tracker import PictureTracker
@@ -21,8 +20,9 @@ from gridpush_drake.station.hardware.twin_link import TwinLink
 from gridpush_drake.station.links.lcm.lcm_link import LcmLink
 from gridpush_drake.station.links.lcm.lcm_messages import find_arm_messages, name_object_channel
 from gridpush_drake.station.links.link import ARM_PERIOD, LinkRole
-from gridpush_drake.station.robot import find_robot
-from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.robot.robot import find_robot
+from gridpush_drake.station.scene.camera import make_camera
+from gridpush_drake.station.schema.scenario import PushScenario
 
 Spoiler = Callable[[float, bytes], list[bytes]]
 """Of the twin's time, s, and a message: what comes instead."""

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.geometry.se2 import make_rotation
-from gridpush_drake.identification.absolute import AbsolutePrior, PoseNoise, WeighingProblem
-from gridpush_drake.identification.force_scale import ForceScale
-from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
+from gridpush_drake.identification.absolute.estimate import AbsolutePrior, MassProblem, PoseNoise
+from gridpush_drake.identification.absolute.force_scale import ForceScale
+from gridpush_drake.pushes.weighings import LiftTest, MassTestLog, TiltTest
 
 CENTER = np.array([0.02, -0.01])
 """Where the pushes say that the center of mass is, m."""
@@ -53,7 +53,7 @@ def make_problem(
     noise: float = 1.0,
     force_std: float = 0.2,
     size: float = 1.0,
-) -> WeighingProblem:
+) -> MassProblem:
     """Makes weighings of an object whose edge lies along y, the table at x < 0.
 
     Args:
@@ -85,7 +85,7 @@ def make_problem(
             e = noise * std.edge * rng.standard_normal()
             force = weight * (b + e) / (a - e)
             made.append(
-                EdgePress(
+                TiltTest(
                     pose=seen,
                     place=np.array([a, y]),
                     force=force + noise * force_std * rng.standard_normal(),
@@ -101,7 +101,7 @@ def make_problem(
         arm = pose[:2] + make_rotation(pose[2]) @ truth.center - place
         torque = weight * np.array([-arm[1], arm[0]])
         lifts.append(
-            Lift(
+            LiftTest(
                 pose=seen,
                 place=place,
                 weight=weight + noise * force_std * rng.standard_normal(),
@@ -111,6 +111,6 @@ def make_problem(
         )
     scale = GRAVITY * truth.mass * truth.friction
     force = ForceScale(scale * np.exp(noise * SCALE_STD * rng.standard_normal()), SCALE_STD, 5)
-    return WeighingProblem(
-        WeighingLog(tuple(made), tuple(lifts)), CENTER, np.diag(CENTER_STD**2), force
+    return MassProblem(
+        MassTestLog(tuple(made), tuple(lifts)), CENTER, np.diag(CENTER_STD**2), force
     )

@@ -9,16 +9,19 @@ import pytest
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import make_rotation
-from gridpush_drake.identification.absolute import (
+from gridpush_drake.identification.absolute.estimate import (
     AbsolutePrior,
+    MassProblem,
     PoseNoise,
     TiltingLine,
-    WeighingProblem,
     describe_sources,
     fit_absolute,
 )
-from gridpush_drake.identification.tilt_tests import estimate_absolute, get_support_distance
-from gridpush_drake.pushes.weighings import WeighingLog
+from gridpush_drake.identification.tilt_tests.outliers import (
+    estimate_absolute,
+    get_support_distance,
+)
+from gridpush_drake.pushes.weighings import MassTestLog
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.weighed_objects import CENTER, CENTER_STD, Truth, draw_truth, make_problem
 
@@ -75,7 +78,7 @@ def test_one_press_gives_the_product_alone_and_two_overhangs_give_both():
         replace(each, pose=each.pose - out, force=GRAVITY * TRUTH.mass * (b + 0.12) / each.arm)
         for each in one.log.presses
     ]
-    both = estimate_absolute(replace(one, log=WeighingLog((*one.log.presses, *further))))
+    both = estimate_absolute(replace(one, log=MassTestLog((*one.log.presses, *further))))
     low, high = both.mass_interval
     assert low < TRUTH.mass < high < 1.2 * low
     assert abs(both.center_of_mass[0] - TRUTH.center[0]) < 3 * both.center_std[0] < 0.015
@@ -102,8 +105,8 @@ def test_intervals_hold(headings, presses, lift):
         off = found.mean - truth.unknowns
         inside += np.abs(off) < 1.96 * np.sqrt(np.diag(found.covariance))
         distances.append(off @ np.linalg.solve(found.covariance, off))
-    share = inside / count
-    assert ((share >= 0.88) & (share <= 1.0)).all(), share
+    fraction = inside / count
+    assert ((fraction >= 0.88) & (fraction <= 1.0)).all(), fraction
     # After one press alone, mass and center lie along a curve, which no ellipsoid follows.
     if len(headings) > 1:
         assert 3.2 < np.mean(distances) < 4.8
@@ -156,11 +159,11 @@ def test_a_slow_way_says_the_same():
         log_weight -= 0.5 * sum(each**2 for each in off)
     scale = u[:, 0] + u[:, 3] + np.log(GRAVITY)
     log_weight -= 0.5 * ((scale - np.log(problem.force.friction)) / problem.force.relative_std) ** 2
-    share = np.exp(log_weight - log_weight.max())
-    share /= share.sum()
-    assert 1 / (share**2).sum() > 1000
-    mean = share @ u
-    spread = np.sqrt(share @ (u - mean) ** 2)
+    fraction = np.exp(log_weight - log_weight.max())
+    fraction /= fraction.sum()
+    assert 1 / (fraction**2).sum() > 1000
+    mean = fraction @ u
+    spread = np.sqrt(fraction @ (u - mean) ** 2)
     laplace = np.sqrt(np.diag(found.covariance))
     assert (np.abs(mean - found.mean) < 0.15 * laplace).all()
     np.testing.assert_allclose(spread, laplace, rtol=0.07)
@@ -188,7 +191,7 @@ def test_contradictions_are_noticed():
 
 def test_nothing_measured_is_refused():
     with pytest.raises(IdentificationError, match="there are none; expected at least one"):
-        estimate_absolute(WeighingProblem(WeighingLog(), CENTER, np.eye(2)))
+        estimate_absolute(MassProblem(MassTestLog(), CENTER, np.eye(2)))
     with pytest.raises(IdentificationError, match="expected 0 < least < greatest"):
         AbsolutePrior(mass=(1.0, 0.5))
     with pytest.raises(IdentificationError, match=r"edge is 0\.0; expected a positive number"):
@@ -201,19 +204,19 @@ def test_sources_are_named():
     assert words == "1 press at the edge, 1 lift and 5 pushes with measured forces"
 
 
-def _weigh_many(rng: np.random.Generator) -> WeighingProblem:
+def _weigh_many(rng: np.random.Generator) -> MassProblem:
     """Six presses of three rests, and the forces of pushes; no lift."""
     return make_problem(TRUTH, rng, (0.3, 1.9, 4.2), presses=2, lift=False, force_std=0.05)
 
 
-def _spoil(problem: WeighingProblem, index: int, **changes: Any) -> WeighingProblem:
+def _spoil(problem: MassProblem, index: int, **changes: Any) -> MassProblem:
     """The same with one press changed."""
     presses = list(problem.log.presses)
     presses[index] = replace(presses[index], **changes)
     return replace(problem, log=replace(problem.log, presses=tuple(presses)))
 
 
-def _press_at_supports(problem: WeighingProblem, index: int, inside: float) -> WeighingProblem:
+def _press_at_supports(problem: MassProblem, index: int, inside: float) -> MassProblem:
     """The same with one press at which it truly rocked about supports, m inside the edge."""
     press = problem.log.presses[index]
     c_W = press.pose[:2] + make_rotation(press.pose[2]) @ TRUTH.center
@@ -244,7 +247,7 @@ def test_two_presses_at_one_rest_tell_edge_and_supports_apart():
     assert abs(a.arm - b.arm) > 0.01
     for index in (0, 1):
         problem = _press_at_supports(problem, index, 0.04)
-    problem = replace(problem, force=None, log=WeighingLog(problem.log.presses[:2]))
+    problem = replace(problem, force=None, log=MassTestLog(problem.log.presses[:2]))
     D = (b.arm * problem.log.presses[1].force - a.arm * problem.log.presses[0].force) / (
         problem.log.presses[0].force - problem.log.presses[1].force
     )

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.identification.absolute import AbsoluteEstimate
-from gridpush_drake.identification.absolute_errors import compare_with_truth
+from gridpush_drake.identification.absolute.errors import compare_with_truth
+from gridpush_drake.identification.absolute.estimate import AbsoluteEstimate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import rectangle

@@ -4,9 +4,9 @@ import numpy as np
 
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.model_check import doubt_fit
-from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.model_check import describe_poor_fit
 from gridpush_drake.identification.result import calc_center_of_mass
+from gridpush_drake.identification.statistics.posterior import Posterior
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
@@ -62,7 +62,7 @@ def test_a_center_of_mass_that_is_told_is_where_it_is_told_and_the_center_of_fri
         found = identify(Model(replace(obj, prior=told)), log)
         np.testing.assert_array_equal(calc_center_of_mass(found)[0], at)
         np.testing.assert_allclose(found.identifiability.center_of_friction, at, atol=2e-3)
-        assert doubt_fit(found) is None
+        assert describe_poor_fit(found) is None
     wrong = replace(told, center_of_mass=(at[0] - 0.03, at[1]))
-    doubt = doubt_fit(identify(Model(replace(obj, prior=wrong)), log))
+    doubt = describe_poor_fit(identify(Model(replace(obj, prior=wrong)), log))
     assert doubt is not None and "center_of_mass.at" in doubt

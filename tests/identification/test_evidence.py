@@ -7,10 +7,10 @@ import pytest
 
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import rotate, transform
-from gridpush_drake.identification.evidence import PushEvidence, select_learned
+from gridpush_drake.identification.fit.evidence import PushEvidence, select_learned
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.noise import NoiseModel
+from gridpush_drake.identification.statistics.noise import NoiseModel
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.pushes.push_log import PushLog
@@ -87,9 +87,9 @@ def test_only_draws_that_the_pushes_contradict_are_drawn_in(learned):
     kept = evidence.draw_in(dz)
     np.testing.assert_array_equal(kept[fine], dz[fine])
     for one, was in zip(kept[~fine], dz[~fine], strict=True):
-        share = one[0] / was[0]
-        np.testing.assert_allclose(one, share * was, rtol=1e-12)
-        assert 0 < share < 1
+        fraction = one[0] / was[0]
+        np.testing.assert_allclose(one, fraction * was, rtol=1e-12)
+        assert 0 < fraction < 1
         assert evidence.calc_excess(one) <= evidence.max_excess
 
 
@@ -129,9 +129,9 @@ def test_the_judge_has_the_last_word_on_draws(learned):
     found, log = learned
     evidence = PushEvidence(found, log)
     for sample in found.posterior.draw_parameters(found.params, 8, 3, evidence):
-        share = sample.relative_friction() / sample.relative_friction().sum()
+        fraction = sample.relative_friction() / sample.relative_friction().sum()
         dz = np.append(
-            np.log(share / found.posterior.calc_share()), np.log(sample.contact_friction)
+            np.log(fraction / found.posterior.calc_fraction()), np.log(sample.contact_friction)
         )
         dz[-1] -= found.posterior.mean[-1]
         assert evidence.calc_excess(dz) <= 1.01 * evidence.max_excess

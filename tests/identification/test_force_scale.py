@@ -7,7 +7,7 @@ from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushLogWarning
-from gridpush_drake.identification.force_scale import _average, calc_force_scale
+from gridpush_drake.identification.absolute.force_scale import _average, calc_force_scale
 from gridpush_drake.identification.identifiability import (
     _calc_box_of_known_scale,
     calc_center_of_mass_box,
@@ -161,13 +161,13 @@ def test_a_push_that_is_too_short_to_become_steady_says_nothing() -> None:
 
 
 @pytest.mark.parametrize("share", [0.2, -0.2])
-def test_the_weight_that_the_finger_carries_does_not_rub(share: float) -> None:
+def test_the_weight_that_the_finger_carries_does_not_rub(fraction: float) -> None:
     obj, truth = make_case()
     right = GRAVITY * truth.mass @ truth.friction
     pushes = []
     for seen in make_station_log(obj, truth, 1.0, 1.0):
-        # The finger takes up a share of the weight as it meets the object, and loses it slowly.
-        lift = share * GRAVITY * MASS * np.exp(-np.arange(20) / 10)
+        # The finger takes up a fraction of the weight as it meets the object, and loses it slowly.
+        lift = fraction * GRAVITY * MASS * np.exp(-np.arange(20) / 10)
         left = 1 - lift / (GRAVITY * MASS)
         pushes.append(replace(seen, force=seen.force * left[:, None], lift_force=lift))
     known = identify(Model(obj), PushLog(tuple(pushes))).force
@@ -231,19 +231,19 @@ def test_a_known_mass_makes_the_box_of_centers_smaller() -> None:
 def test_the_box_with_a_free_scale_is_that_without_forces() -> None:
     obj, _ = make_case(MASS)
     for seed in range(3):
-        share = np.random.default_rng(seed).dirichlet(np.ones(obj.n))
+        fraction = np.random.default_rng(seed).dirichlet(np.ones(obj.n))
         np.testing.assert_allclose(
-            _calc_box_of_known_scale(share, obj, *FRICTION),
-            calc_center_of_mass_box(share, obj),
+            _calc_box_of_known_scale(fraction, obj, *FRICTION),
+            calc_center_of_mass_box(fraction, obj),
             atol=1e-9,
         )
 
 
 def test_at_a_bound_of_the_friction_all_cells_are_there_and_the_center_is_known() -> None:
     obj, _ = make_case(MASS)
-    share = np.random.default_rng(0).dirichlet(np.ones(obj.n))
-    box = _calc_box_of_known_scale(share, obj, FRICTION[1], FRICTION[1])
-    np.testing.assert_allclose(box, np.tile(share @ obj.p_BC, (2, 1)), atol=1e-9)
+    fraction = np.random.default_rng(0).dirichlet(np.ones(obj.n))
+    box = _calc_box_of_known_scale(fraction, obj, FRICTION[1], FRICTION[1])
+    np.testing.assert_allclose(box, np.tile(fraction @ obj.p_BC, (2, 1)), atol=1e-9)
 
 
 def test_forces_that_point_backwards_are_left_out_or_not_believed_at_all() -> None:
@@ -305,6 +305,6 @@ def test_real_forces_give_a_steel_block_a_likely_friction(name: str) -> None:
     assert model.force is not None and model.force.pushes >= 9 and model.force.relative_std < 0.15
     low, high = model.force.calc_mean_friction_bounds(obj)
     assert 0.2 < low < high < 0.5
-    told_less = replace(obj.prior, total_mass=None, friction_min=0.2, friction_max=0.5)
-    lightest, heaviest = model.force.calc_mass_bounds(replace(obj, prior=told_less))
+    wider_prior = replace(obj.prior, total_mass=None, friction_min=0.2, friction_max=0.5)
+    lightest, heaviest = model.force.calc_mass_bounds(replace(obj, prior=wider_prior))
     assert 0.5 < lightest < 1.518 < heaviest < 4.0

@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.identification.center_of_mass import CenterOfMass
-from gridpush_drake.identification.friction_gradient import (
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.spread import predict_spread
+from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
+from gridpush_drake.identification.statistics.friction_gradient import (
     FRICTION_GRADIENT,
     calc_arms,
     calc_gradient_std,
     draw_gradients,
 )
-from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.spread import predict_spread
-from gridpush_drake.identification.weighed_model import hold_friction, weigh_model
+from gridpush_drake.identification.statistics.problem import PushProblem
+from gridpush_drake.identification.tilt_tests.weighed_model import estimate_masses, hold_friction
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import Lift, WeighingLog
+from gridpush_drake.pushes.weighings import LiftTest, MassTestLog
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
@@ -104,8 +104,8 @@ def test_over_the_edge_less_is_known_of_a_push_until_the_object_is_weighed():
     weight = 9.81 * truth.total_mass
     pads = np.array([0.0, 0.0])
     torque = weight * np.array([-(center - pads)[1], (center - pads)[0]])
-    lift = Lift(np.zeros(3), pads, weight, torque, weight_std=0.05, torque_std=0.001)
-    weighed = weigh_model(found, WeighingLog(lifts=(lift,)))
+    lift = LiftTest(np.zeros(3), pads, weight, torque, weight_std=0.05, torque_std=0.001)
+    weighed = estimate_masses(found, MassTestLog(lifts=(lift,)))
     assert weighed.noise.friction_gradient < 0.2 * FRICTION_GRADIENT
     held = hold_friction(weighed)
     again = identify(Model(obj), make_pokes(obj, truth, 4, 0, noise=(5e-4, 3e-3)), friction=held)

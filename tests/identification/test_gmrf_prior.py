@@ -1,6 +1,6 @@
 import numpy as np
 
-from gridpush_drake.identification.load_prior import calc_smooth_covariance
+from gridpush_drake.identification.fit.load_prior import calc_smooth_covariance
 from gridpush_drake.objects.grid_object import GridObject
 
 

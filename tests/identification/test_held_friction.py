@@ -5,10 +5,10 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_final_errors, predict
+from gridpush_drake.identification.statistics.friction_gradient import HeldFriction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.edge_motion import simulate_near_edge
@@ -87,8 +87,10 @@ def test_on_the_table_frictions_that_are_held_change_no_loads() -> None:
     log = make_pokes(obj, truth, 4, 0, noise=(5e-4, 3e-3))
     even = identify(Model(obj), log)
     held = identify(Model(obj), log, friction=HeldFriction(truth.friction))
-    np.testing.assert_allclose(held.posterior.calc_share(), even.posterior.calc_share(), rtol=1e-4)
-    ratio = held.params.mass * held.params.friction / held.posterior.calc_share()
+    np.testing.assert_allclose(
+        held.posterior.calc_fraction(), even.posterior.calc_fraction(), rtol=1e-4
+    )
+    ratio = held.params.mass * held.params.friction / held.posterior.calc_fraction()
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
 
 

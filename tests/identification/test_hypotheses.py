@@ -9,14 +9,13 @@ from scipy.stats import multivariate_normal
 
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import make_direction
-from gridpush_drake.identification.hypotheses import (
+from gridpush_drake.identification.fit.hypotheses import (
     DEFAULT_HYPOTHESES,
     Concentrated,
     Ring,
     TwoParts,
 )
-from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.load_modes import (
+from gridpush_drake.identification.fit.load_modes import (
     CUT_ANGLES,
     MIN_PART,
     RING_WIDTH,
@@ -25,13 +24,14 @@ from gridpush_drake.identification.load_modes import (
     find_cuts,
     find_rings,
 )
-from gridpush_drake.identification.load_prior import (
+from gridpush_drake.identification.fit.load_prior import (
+    HypothesisInputs,
     LinearizedPushes,
-    Setting,
     calc_smooth_covariance,
 )
-from gridpush_drake.identification.map_ensemble import MapEnsemble
-from gridpush_drake.identification.mode_choice import ALIKE, calc_cut_evidence
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
+from gridpush_drake.identification.fit.mode_choice import ALIKE_CORRELATION, calc_cut_evidence
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
@@ -45,7 +45,7 @@ PARTS = TwoParts()
 
 def propose_parts(obj, z0, residuals, J, known=0):
     pushes = LinearizedPushes(residuals, J, known)
-    return PARTS.propose(Setting(obj, z0, MU_STD).with_pushes(pushes))
+    return PARTS.propose(HypothesisInputs(obj, z0, MU_STD).with_pushes(pushes))
 
 
 def make_evidence(obj, rows, seed):
@@ -119,9 +119,9 @@ def test_each_cut_begins_at_its_linear_optimum_and_no_two_are_alike(rows: int) -
         for prior in found
     ]
     correlation = np.abs(np.corrcoef(cuts))
-    assert correlation[np.triu_indices(PARTS.max_cuts, 1)].max() <= ALIKE + 1e-6
-    shares = [prior.evidence_share for prior in found]
-    assert min(shares) > 0 and sum(shares) <= 1
+    assert correlation[np.triu_indices(PARTS.max_cuts, 1)].max() <= ALIKE_CORRELATION + 1e-6
+    fractions = [prior.evidence_fraction for prior in found]
+    assert min(fractions) > 0 and sum(fractions) <= 1
 
 
 def test_four_pushes_show_two_parts_and_how_they_differ() -> None:
@@ -158,14 +158,14 @@ def test_the_radius_mode_is_the_squared_distance_from_the_middle_standardized() 
 def test_cells_that_are_all_as_far_from_the_middle_have_no_radius(cells: int) -> None:
     obj = make_shape("square", cells)
     assert obj.n == cells and not calc_radius_mode(obj).any()
-    assert Concentrated().propose(Setting(obj, np.zeros(obj.n + 1), MU_STD)) == []
+    assert Concentrated().propose(HypothesisInputs(obj, np.zeros(obj.n + 1), MU_STD)) == []
 
 
 def test_the_prior_of_a_concentrated_load_is_that_of_its_equation() -> None:
     obj = make_shape("l_bracket", 20)
     z0 = np.random.default_rng(3).normal(0, 1, obj.n + 1)
     asked = Concentrated(weight=0.5, radius_std=1.5, amplitude=0.2, range_cells=3.0)
-    (prior,) = asked.propose(Setting(obj, z0, MU_STD))
+    (prior,) = asked.propose(HypothesisInputs(obj, z0, MU_STD))
     q = calc_radius_mode(obj)
     C = 0.2**2 * calc_smooth_covariance(obj, 3.0) + 1.5**2 * np.outer(q, q)
     np.testing.assert_allclose(prior.factor @ prior.factor.T, block_diag(C, MU_STD**2), atol=1e-9)
@@ -224,7 +224,7 @@ def test_cells_that_are_all_as_far_from_the_middle_make_no_ring(cells: int) -> N
     residuals, J = make_evidence(obj, 9, 0)
     pushes = LinearizedPushes(residuals, J)
     assert not len(find_rings(obj))
-    setting = Setting(obj, np.zeros(obj.n + 1), MU_STD).with_pushes(pushes)
+    setting = HypothesisInputs(obj, np.zeros(obj.n + 1), MU_STD).with_pushes(pushes)
     assert Ring().propose(setting) == []
 
 
@@ -247,7 +247,7 @@ def test_a_ring_begins_at_its_linear_optimum() -> None:
     obj = make_shape("l_bracket", 20)
     z0 = np.random.default_rng(1).normal(0, 1, obj.n + 1)
     residuals, J = make_evidence(obj, 9, 2)
-    setting = Setting(obj, z0, MU_STD).with_pushes(LinearizedPushes(residuals, J))
+    setting = HypothesisInputs(obj, z0, MU_STD).with_pushes(LinearizedPushes(residuals, J))
     (prior,) = Ring().propose(setting)
     covariance = prior.factor @ prior.factor.T
     gradient = np.linalg.solve(covariance, prior.start - z0)

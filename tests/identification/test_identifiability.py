@@ -7,7 +7,7 @@ from gridpush_drake.identification.identifiability import (
     calc_identifiability,
 )
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.posterior import LEARNED_SHARE, Posterior
+from gridpush_drake.identification.statistics.posterior import LEARNED_FRACTION, Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -19,12 +19,12 @@ def make_object() -> GridObject:
     return GridObject.from_outline(RECTANGLE, max_cells=18, prior=prior)
 
 
-def calc_box_by_linear_program(share: np.ndarray, obj: GridObject) -> np.ndarray:
+def calc_box_by_linear_program(fraction: np.ndarray, obj: GridObject) -> np.ndarray:
     # Charnes and Cooper: y = m/sum(m), t = 1/sum(m); the extreme of y·p s.t. sum y = 1, k t/mu_max
     # <= y <= k t/mu_min.
     n, box = obj.n, np.empty((2, 2))
-    upper = np.hstack([np.eye(n), -(share / obj.prior.friction_min)[:, None]])
-    lower = np.hstack([-np.eye(n), (share / obj.prior.friction_max)[:, None]])
+    upper = np.hstack([np.eye(n), -(fraction / obj.prior.friction_min)[:, None]])
+    lower = np.hstack([-np.eye(n), (fraction / obj.prior.friction_max)[:, None]])
     equal = np.append(np.ones(n), 0.0)[None]
     for axis in (0, 1):
         for row, sign in ((0, 1.0), (1, -1.0)):
@@ -37,9 +37,11 @@ def calc_box_by_linear_program(share: np.ndarray, obj: GridObject) -> np.ndarray
 def test_center_of_mass_box_agrees_with_linear_programs() -> None:
     obj = make_object()
     for seed in range(5):
-        share = np.random.default_rng(seed).dirichlet(np.ones(obj.n))
+        fraction = np.random.default_rng(seed).dirichlet(np.ones(obj.n))
         np.testing.assert_allclose(
-            calc_center_of_mass_box(share, obj), calc_box_by_linear_program(share, obj), atol=1e-9
+            calc_center_of_mass_box(fraction, obj),
+            calc_box_by_linear_program(fraction, obj),
+            atol=1e-9,
         )
 
 
@@ -67,15 +69,15 @@ def test_counts_learned_directions_and_spans_the_rest() -> None:
 
 def test_mass_bounds_hold_for_every_agreeing_mass_distribution() -> None:
     obj = make_object()
-    share = np.random.default_rng(0).dirichlet(np.ones(obj.n))
+    fraction = np.random.default_rng(0).dirichlet(np.ones(obj.n))
     posterior = Posterior(
-        np.append(np.log(share), 0.0), np.eye(obj.n + 1) * 0.01, np.eye(obj.n + 1)
+        np.append(np.log(fraction), 0.0), np.eye(obj.n + 1) * 0.01, np.eye(obj.n + 1)
     )
-    params = CellParameters(2.0 * share, np.full(obj.n, 0.4))
+    params = CellParameters(2.0 * fraction, np.full(obj.n, 0.4))
     report = calc_identifiability(Model(obj, params), posterior)
     rng = np.random.default_rng(1)
     for _ in range(200):
-        mass = share / rng.uniform(0.2, 0.8, obj.n)
+        mass = fraction / rng.uniform(0.2, 0.8, obj.n)
         mass *= 2.0 / mass.sum()
         assert (mass >= report.mass_min - 1e-12).all() and (mass <= report.mass_max + 1e-12).all()
         center = mass @ obj.p_BC / 2.0
@@ -89,7 +91,7 @@ def test_statements_say_what_cannot_be_known() -> None:
     assert sum("Not identifiable from these data" in text for text in report.statements) == 2
     # Of patterns and of cells it is said in one sentence how they go together.
     (told,) = [text for text in report.statements if "pattern" in text]
-    cells = int((report.learned_share >= LEARNED_SHARE).sum())
+    cells = int((report.learned_share >= LEARNED_FRACTION).sum())
     assert f"determined {report.learned_directions} independent patterns" in told
     assert f"half of the variance from {cells} of the cells" in told
     assert "neighboring cells are supposed to be alike" in told

@@ -7,13 +7,13 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import IdentificationError, PushLogError
-from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.joint_fit import identify_together
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.identification.result import IdentificationStatus
-from gridpush_drake.identification.robust_least_squares import MAX_CHANGE
+from gridpush_drake.identification.statistics.friction_gradient import HeldFriction
+from gridpush_drake.identification.statistics.robust_least_squares import MAX_CHANGE
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.observed_push import ObservedPush

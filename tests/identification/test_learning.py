@@ -5,13 +5,13 @@ import pytest
 
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import IdentificationError, SimulationError
-from gridpush_drake.identification.hypotheses import SmoothField, TwoParts
-from gridpush_drake.identification.learning import METHODS, describe_prior, identify
-from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.fit.hypotheses import SmoothField, TwoParts
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
+from gridpush_drake.identification.learning import METHOD_NAMES, describe_prior, identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_check import judge_fit
 from gridpush_drake.identification.prediction import calc_pose_error, predict
-from gridpush_drake.identification.problem import resolve_physics
+from gridpush_drake.identification.statistics.problem import resolve_physics
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -121,8 +121,8 @@ def test_result_carries_spread_and_samples() -> None:
     assert found.std.mass.shape == found.params.mass.shape
     samples = found.draws(300, seed=1)
     assert len(samples) == 300
-    shares = np.array([sample.relative_friction() for sample in samples])
-    centers = shares @ obj.p_BC
+    fractions = np.array([sample.relative_friction() for sample in samples])
+    centers = fractions @ obj.p_BC
     spread = np.sqrt(np.diag(found.identifiability.center_of_friction_covariance))
     np.testing.assert_allclose(centers.std(axis=0), spread, rtol=0.5)
     assert all(np.allclose(sample.friction, found.params.friction) for sample in samples)
@@ -175,7 +175,7 @@ def test_the_paper_s_method_learns_of_an_object_pushed_above_the_table() -> None
     )
 
 
-@pytest.mark.parametrize("method", METHODS[1:])
+@pytest.mark.parametrize("method", METHOD_NAMES[1:])
 def test_every_search_is_behind_the_same_interface(method: str) -> None:
     obj = make_block(8)
     log = make_pokes(obj, make_uneven(obj), 2, 2, length=0.03, observations=2, regime="inertial")

@@ -5,33 +5,33 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.protocol import make_case, make_protocol
-from gridpush_drake.bench.truth.random_bodies import PATCHES, draw_body
-from gridpush_drake.identification import fit_average
-from gridpush_drake.identification.center_of_mass import CenterOfMass
-from gridpush_drake.identification.fit_average import (
+from gridpush_drake.bench.data.protocol import make_case, make_protocol
+from gridpush_drake.bench.truth.random_bodies import PATCHES_KIND, draw_body
+from gridpush_drake.identification.fit import fit_average
+from gridpush_drake.identification.fit.fit_average import (
     SHARED_SHIFT,
     MapEnsembleFit,
-    _average_shares,
-    _compare_shares,
+    _average_fractions,
+    _compare_fractions,
     _move_center,
 )
-from gridpush_drake.identification.hypotheses import (
-    AMPLITUDES,
+from gridpush_drake.identification.fit.hypotheses import (
     CENTER_STD,
     DEFAULT_HYPOTHESES,
+    FIELD_AMPLITUDES,
     RigidBottom,
     SmoothField,
 )
+from gridpush_drake.identification.fit.load_modes import find_corners
+from gridpush_drake.identification.fit.load_prior import LoadPrior, calc_prior_factor
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.load_modes import find_corners
-from gridpush_drake.identification.load_prior import LoadPrior, calc_prior_factor
-from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.prediction import calc_mean_cell_error
-from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import calc_center_of_friction
+from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
+from gridpush_drake.identification.statistics.posterior import Posterior, calc_center_jacobian
+from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
@@ -67,7 +67,7 @@ def test_pushes_left_out_tell_which_of_several_wrong_hypotheses_predicts_best() 
     # By evidence alone one wrong prior gets nearly all the weight, and the mean error is 1.0 mm.
     errors = []
     for seed in (4, 9, 12):
-        body = draw_body(PATCHES, seed, training=5, held_out=5)
+        body = draw_body(PATCHES_KIND, seed, training=5, held_out=5)
         found = identify(Model(body.obj), body.training)
         errors.append(
             calc_mean_cell_error(Model(body.obj, found.params, found.physics), body.held_out)
@@ -96,7 +96,7 @@ def test_average_lies_among_its_fits_and_its_spread_covers_theirs() -> None:
     assert (found.posterior.mean >= fits.min(axis=0)).all() and (
         found.posterior.mean <= fits.max(axis=0)
     ).all()
-    alone = [learn(4.0, (amplitude,)).posterior.covariance for amplitude in AMPLITUDES]
+    alone = [learn(4.0, (amplitude,)).posterior.covariance for amplitude in FIELD_AMPLITUDES]
     assert np.trace(found.posterior.covariance) >= min(np.trace(covariance) for covariance in alone)
 
 
@@ -116,7 +116,7 @@ def test_where_nothing_is_known_the_center_is_held_about_the_centroid_until_push
         problem = PushProblem(obj, make_pokes(obj, truth, pushes, 5, noise=NOISE), truth)
         z0 = problem.unknowns(CellParameters.uniform(obj))
         return (
-            calc_share(MapEnsemble().fit(problem, z0, 0.3, known, lambda z, linear: None).z)
+            calc_fraction(MapEnsemble().fit(problem, z0, 0.3, known, lambda z, linear: None).z)
             @ obj.p_BC
         )
 
@@ -131,7 +131,7 @@ def test_no_number_of_pushes_makes_the_center_surer_than_what_their_loads_share(
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 2.0, 1.0), np.full(obj.n, 0.4), 0.35)
     for count in (3, 12):
         found = identify(Model(obj), make_pokes(obj, truth, count, 5, noise=NOISE))
-        x = found.posterior.calc_share()
+        x = found.posterior.calc_fraction()
         problem = PushProblem(obj, make_pokes(obj, truth, 1, 5), truth)
         floor = problem.calc_tilt_covariance(SHARED_SHIFT * found.load_shift_std)
         F = calc_center_jacobian(x, obj.p_BC)
@@ -147,32 +147,32 @@ def test_a_tilt_shifts_the_center_of_even_loads_by_as_much_as_it_says() -> None:
     np.testing.assert_allclose(F @ covariance @ F.T, 0.002**2 * np.eye(2), atol=1e-4 * 0.002**2)
 
 
-def calc_share(z: np.ndarray) -> np.ndarray:
-    return Posterior(z, np.eye(len(z)), np.eye(len(z))).calc_share()
+def calc_fraction(z: np.ndarray) -> np.ndarray:
+    return Posterior(z, np.eye(len(z)), np.eye(len(z))).calc_fraction()
 
 
 def test_shares_average_and_their_spread_is_the_mixture_of_the_fits() -> None:
     rng = np.random.default_rng(0)
     fits, weights, n = rng.normal(0, 2, (3, 9)), np.array([0.5, 0.3, 0.2]), 8
-    mean = _average_shares(weights, list(fits))
-    shares = np.array([calc_share(z) for z in fits])
-    np.testing.assert_allclose(calc_share(mean), weights @ shares, rtol=1e-12)
+    mean = _average_fractions(weights, list(fits))
+    fractions = np.array([calc_fraction(z) for z in fits])
+    np.testing.assert_allclose(calc_fraction(mean), weights @ fractions, rtol=1e-12)
     np.testing.assert_allclose(mean[n], weights @ fits[:, n], rtol=1e-12)
-    slope = np.diag(calc_share(mean)) - np.outer(calc_share(mean), calc_share(mean))
-    off = np.array([_compare_shares(z, mean)[0] for z in fits])
-    np.testing.assert_allclose(off[:, :n] @ slope, shares - weights @ shares, atol=1e-14)
+    slope = np.diag(calc_fraction(mean)) - np.outer(calc_fraction(mean), calc_fraction(mean))
+    off = np.array([_compare_fractions(z, mean)[0] for z in fits])
+    np.testing.assert_allclose(off[:, :n] @ slope, fractions - weights @ fractions, atol=1e-14)
 
 
 def test_variations_of_a_fit_are_turned_into_those_of_the_average_exactly() -> None:
     rng = np.random.default_rng(1)
     z, mean = rng.normal(0, 1, (2, 7))
-    T = _compare_shares(z, mean)[1]
-    ratio = 1 / calc_share(mean)
-    J = (np.diag(calc_share(mean)) - np.outer(calc_share(mean), calc_share(mean))) @ T[:6]
-    check_jacobian(lambda v: ratio * calc_share(v), z, ratio[:, None] * J, rtol=1e-6, atol=1e-9)
+    T = _compare_fractions(z, mean)[1]
+    ratio = 1 / calc_fraction(mean)
+    J = (np.diag(calc_fraction(mean)) - np.outer(calc_fraction(mean), calc_fraction(mean))) @ T[:6]
+    check_jacobian(lambda v: ratio * calc_fraction(v), z, ratio[:, None] * J, rtol=1e-6, atol=1e-9)
     even = np.append(np.ones(6), 0.0)
     np.testing.assert_allclose(T @ even, even, atol=1e-12)  # the common scale stays apart
-    np.testing.assert_allclose(_compare_shares(z, z)[1], np.eye(7), atol=1e-12)
+    np.testing.assert_allclose(_compare_fractions(z, z)[1], np.eye(7), atol=1e-12)
 
 
 def test_loads_put_on_the_grid_keep_their_center() -> None:
@@ -183,8 +183,8 @@ def test_loads_put_on_the_grid_keep_their_center() -> None:
     loads[cells] = places
     z = np.random.default_rng(2).normal(0, 0.5, obj.n + 1)
     moved = _move_center(obj.p_BC, z, loads)
-    wanted = calc_share(z) @ loads
-    before, after = (np.linalg.norm(calc_share(v) @ obj.p_BC - wanted) for v in (z, moved))
+    wanted = calc_fraction(z) @ loads
+    before, after = (np.linalg.norm(calc_fraction(v) @ obj.p_BC - wanted) for v in (z, moved))
     assert before > 1e-4 and after < 0.05 * before and moved[-1] == z[-1]
 
 
@@ -204,7 +204,7 @@ def test_a_rigid_bottom_on_its_corners_is_recognized() -> None:
     assert fit.best is not None
     np.testing.assert_array_equal(fit.best.linearized.problem.obj.p_BC, on_corners)
     true_center = truth.mass @ on_corners / truth.total_mass
-    assert np.linalg.norm(calc_share(fit.z) @ obj.p_BC - true_center) < 3e-3
+    assert np.linalg.norm(calc_fraction(fit.z) @ obj.p_BC - true_center) < 3e-3
 
 
 def fit_pokes(contradicting: bool) -> tuple[GridObject, MapEnsembleFit]:
@@ -220,7 +220,7 @@ def fit_pokes(contradicting: bool) -> tuple[GridObject, MapEnsembleFit]:
 
 
 def calc_region(obj: GridObject, fit: MapEnsembleFit) -> float:
-    F = calc_center_jacobian(calc_share(fit.z), obj.p_BC)
+    F = calc_center_jacobian(calc_fraction(fit.z), obj.p_BC)
     return float(np.sqrt(np.linalg.det(F @ fit.covariance @ F.T)))
 
 
@@ -236,14 +236,14 @@ def test_pushes_that_agree_make_surer_of_what_none_shows_but_by_half_as_much(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     obj, surer = fit_pokes(False)
-    monkeypatch.setattr(fit_average, "CAUTION", np.inf)
+    monkeypatch.setattr(fit_average, "MIN_NOISE_FACTOR", np.inf)
     _, cautious = fit_pokes(False)
     np.testing.assert_array_equal(surer.z, cautious.z)
     assert surer.interval_scale == cautious.interval_scale < 1 / 2
     assert (
         (2 * surer.interval_scale) ** 2 < calc_region(obj, surer) / calc_region(obj, cautious) < 0.9
     )
-    monkeypatch.setattr(fit_average, "CAUTION", 1.0)
+    monkeypatch.setattr(fit_average, "MIN_NOISE_FACTOR", 1.0)
     assert calc_region(*fit_pokes(False)) < 0.9 * calc_region(obj, surer)
 
 

@@ -6,12 +6,16 @@ import pytest
 from scipy import stats
 from scipy.optimize import least_squares
 
-from gridpush_drake.identification.center_of_mass import FRICTION_STD, CenterOfMass
-from gridpush_drake.identification.linearized_fit import factorize
-from gridpush_drake.identification.load_prior import calc_prior_factor, calc_smooth_covariance
-from gridpush_drake.identification.map_fit import MapFit, fit_map
-from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
-from gridpush_drake.identification.problem import Linearization, PushProblem
+from gridpush_drake.identification.fit.linearized_fit import factorize
+from gridpush_drake.identification.fit.load_prior import calc_prior_factor, calc_smooth_covariance
+from gridpush_drake.identification.fit.map_fit import MapFit, fit_map
+from gridpush_drake.identification.statistics.center_of_mass import FRICTION_STD, CenterOfMass
+from gridpush_drake.identification.statistics.noise import (
+    NoiseModel,
+    NoiseScale,
+    calc_effective_count,
+)
+from gridpush_drake.identification.statistics.problem import Linearization, PushProblem
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
@@ -224,7 +228,7 @@ def test_the_log_predictive_is_that_of_students_t_as_wide_as_the_errors_are() ->
     ends = system.leave_out_ends()
     f = noise.calc_freedom(len(problem))
     kappa = noise.calc_discrepancy(ends.ratios)
-    scale = noise.calc_typical_share(len(problem)) * kappa**2
+    scale = noise.calc_typical_fraction(len(problem)) * kappa**2
     exact = [
         stats.multivariate_t.logpdf(e, shape=scale * C, df=f)
         for e, C in zip(ends.errors, ends.covariances, strict=True)

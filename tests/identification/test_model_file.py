@@ -7,7 +7,7 @@ import shapely
 
 from gridpush_drake.errors import IdentificationError, ObjectError, OutputError
 from gridpush_drake.identification.model_file import looks_like_model, read_model, write_model
-from gridpush_drake.identification.noise import NoiseModel
+from gridpush_drake.identification.statistics.noise import NoiseModel
 from gridpush_drake.objects.grid_object import GridObject
 from tests.helpers.made_identifications import OUTLINE, make_identification
 

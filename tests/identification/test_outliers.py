@@ -9,8 +9,8 @@ from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import read_model, write_model
-from gridpush_drake.identification.outliers import find_jumps, remove_outliers
-from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.statistics.outliers import find_jumps, remove_outliers
+from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import make_report
@@ -91,7 +91,7 @@ def test_a_fifth_of_wrong_poses_costs_little_and_is_named_exactly(kind: str, cle
         found, error = learn_and_judge(*case, bad)
         assert {outlier.push: outlier.poses for outlier in found.outliers} == spoiled
         assert not any(outlier.whole for outlier in found.outliers)
-        assert found.outliers[0].share == pytest.approx(1 / (OBSERVATIONS + 1))
+        assert found.outliers[0].fraction == pytest.approx(1 / (OBSERVATIONS + 1))
         errors.append(error)
     assert np.mean(errors) <= WORST * clean
 
@@ -208,4 +208,4 @@ def test_what_was_refused_is_in_words_in_the_file_and_in_the_report(tmp_path) ->
         )
         assert outlier.describe() in page
     whole = replace(found.outliers[0], poses=(), whole=True)
-    assert "refused, as no motion of this object" in whole.describe() and whole.share == 1.0
+    assert "refused, as no motion of this object" in whole.describe() and whole.fraction == 1.0

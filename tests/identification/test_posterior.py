@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.identification.load_prior import calc_smooth_covariance
-from gridpush_drake.identification.map_ensemble import MapEnsemble
-from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
+from gridpush_drake.identification.fit.load_prior import calc_smooth_covariance
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
+from gridpush_drake.identification.statistics.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.shapes import make_shape
@@ -23,7 +23,7 @@ def make_prior(amplitude=2.0):
 
 def learn_center(prior):
     """What is left after the center of friction was seen, by Gaussian conditioning."""
-    F = calc_center_jacobian(prior.calc_share(), OBJ.p_BC)
+    F = calc_center_jacobian(prior.calc_fraction(), OBJ.p_BC)
     S = prior.covariance
     gain = S @ F.T @ np.linalg.inv(F @ S @ F.T + CENTER_STD**2 * np.eye(2))
     after = S - gain @ F @ S
@@ -49,21 +49,21 @@ def test_the_center_s_derivatives_agree_with_differences():
         return k @ OBJ.p_BC / k.sum()
 
     check_jacobian(
-        calc_center, posterior.mean, calc_center_jacobian(posterior.calc_share(), OBJ.p_BC)
+        calc_center, posterior.mean, calc_center_jacobian(posterior.calc_fraction(), OBJ.p_BC)
     )
 
 
 def test_draws_keep_what_the_pushes_showed():
     posterior = learn_center(make_prior(amplitude=MapEnsemble().widest.amplitude))
-    known = posterior.calc_share() @ OBJ.p_BC
-    shares, _ = posterior.draw(400, seed=3)
+    known = posterior.calc_fraction() @ OBJ.p_BC
+    fractions, _ = posterior.draw(400, seed=3)
     plain, _ = draw_normally(posterior, 400, seed=3)
-    error = np.sqrt(((shares @ OBJ.p_BC - known) ** 2).mean(axis=0))
+    error = np.sqrt(((fractions @ OBJ.p_BC - known) ** 2).mean(axis=0))
     naive = np.sqrt(((plain @ OBJ.p_BC - known) ** 2).mean(axis=0))
     assert (error < 1.2 * CENTER_STD).all()
     assert (error > 0.8 * CENTER_STD).all()
     assert (naive > 5 * CENTER_STD).all()
-    assert np.log(shares).std(axis=0).min() > 0.3, "single cells stay unknown"
+    assert np.log(fractions).std(axis=0).min() > 0.3, "single cells stay unknown"
 
 
 def test_nothing_is_moved_where_nothing_was_learned():
@@ -83,10 +83,10 @@ def test_drawn_parameters_share_the_estimate_s_frictions_and_their_sum():
     params = CellParameters(np.linspace(0.1, 0.2, OBJ.n), np.linspace(0.3, 0.5, OBJ.n), 0.4)
     posterior = learn_center(make_prior())
     drawn = posterior.draw_parameters(params, 5, seed=2)
-    shares, contact_friction = posterior.draw(5, seed=2)
-    for sample, share, mu_c in zip(drawn, shares, contact_friction, strict=True):
+    fractions, contact_friction = posterior.draw(5, seed=2)
+    for sample, fraction, mu_c in zip(drawn, fractions, contact_friction, strict=True):
         np.testing.assert_array_equal(sample.friction, params.friction)
-        np.testing.assert_allclose(sample.relative_friction(), share, rtol=1e-9)
+        np.testing.assert_allclose(sample.relative_friction(), fraction, rtol=1e-9)
         assert sample.mass @ sample.friction == pytest.approx(params.mass @ params.friction)
         assert sample.contact_friction == mu_c
     assert posterior.draw_parameters(params, 0) == []

@@ -7,7 +7,7 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error, predict
-from gridpush_drake.identification.problem import PushProblem, TimedPush
+from gridpush_drake.identification.statistics.problem import PushProblem, TimedPush
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.identification.robust_least_squares import (
+from gridpush_drake.identification.statistics.robust_least_squares import (
     MAX_CHANGE,
     MAX_STEP,
     calc_loss,

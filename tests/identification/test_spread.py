@@ -5,14 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.identification.friction_gradient import calc_gradient_std
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.prediction import calc_final_errors, predict
-from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.spread import INTERVAL, calc_norm_quantile, predict_spread
+from gridpush_drake.identification.spread import (
+    INTERVAL_PROBABILITY,
+    calc_norm_quantile,
+    predict_spread,
+)
+from gridpush_drake.identification.statistics.friction_gradient import calc_gradient_std
+from gridpush_drake.identification.statistics.noise import NoiseModel
+from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.push_cases import make_table_edge
 from tests.helpers.shapes import make_shape
@@ -26,7 +30,7 @@ def test_quantile_of_the_norm_is_that_of_draws(axes: tuple[float, ...]) -> None:
     root = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0] * axes
     drawn = np.linalg.norm(np.random.default_rng(1).normal(size=(40000, 3)) @ root.T, axis=1)
     assert calc_norm_quantile(root @ root.T) == pytest.approx(
-        np.quantile(drawn, INTERVAL), rel=0.05
+        np.quantile(drawn, INTERVAL_PROBABILITY), rel=0.05
     )
 
 
@@ -35,7 +39,7 @@ def test_fewer_pushes_make_the_tails_longer_as_students_t_has_them() -> None:
     stretched = np.sqrt(freedom / rng.chisquare(freedom, (40000, 1)))
     drawn = np.linalg.norm(rng.normal(size=(40000, 3)) * stretched, axis=1)
     assert calc_norm_quantile(np.eye(3), freedom) == pytest.approx(
-        np.quantile(drawn, INTERVAL), rel=0.02
+        np.quantile(drawn, INTERVAL_PROBABILITY), rel=0.02
     )
     noise = NoiseModel()
     assert noise.calc_freedom(3) < noise.calc_freedom(9) < noise.calc_freedom(0)
@@ -61,7 +65,7 @@ def test_regions_hold_what_they_say_of_pushes_some_of_which_are_much_farther_off
     # (Of few pushes the typical mean square is less than the mean, so that they hold a little less.)
     for probability, tolerance in ((0.9, 0.03), (0.99, 0.01)):
         limit = calc_norm_quantile(
-            noise.calc_typical_share(pushes) * np.eye(3), noise.calc_freedom(pushes), probability
+            noise.calc_typical_fraction(pushes) * np.eye(3), noise.calc_freedom(pushes), probability
         )
         assert np.mean(next_one <= limit) == pytest.approx(probability, abs=tolerance)
     # Taken for normal, and kappa for known from all numbers that were seen, too many surprise.

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.fit.load_prior import calc_prior_factor, calc_smooth_covariance
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
+from gridpush_drake.identification.fit.map_fit import fit_map
 from gridpush_drake.identification.learning import describe_prior, identify
-from gridpush_drake.identification.load_prior import calc_prior_factor, calc_smooth_covariance
-from gridpush_drake.identification.map_ensemble import MapEnsemble
-from gridpush_drake.identification.map_fit import fit_map
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import FitStart
+from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape

@@ -7,18 +7,18 @@ import pytest
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.absolute import CENTER, LOG_FRICTION
-from gridpush_drake.identification.absolute_masses import tilt_to_center
+from gridpush_drake.identification.absolute.estimate import CENTER_INDICES, LOG_FRICTION
+from gridpush_drake.identification.absolute.masses import tilt_to_center
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.result import calc_center_of_mass
-from gridpush_drake.identification.weighed_learning import learn_with_weighings
-from gridpush_drake.identification.weighed_model import (
+from gridpush_drake.identification.tilt_tests.weighed_learning import learn_with_mass_tests
+from gridpush_drake.identification.tilt_tests.weighed_model import (
     _note_center_outside,
     calc_center_prior,
-    weigh_model,
+    estimate_masses,
 )
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
+from gridpush_drake.pushes.weighings import MassTestLog, TiltTest
 from gridpush_drake.report.page import list_numbers
 from tests.helpers.weighed_objects import Truth, make_problem
 from tests.identification.test_force_scale import MASS, learn, make_case
@@ -44,7 +44,7 @@ def weighed(learned, truth):
     headings = (0.0, np.pi, np.pi / 2)
     rng = np.random.default_rng(1)
     log = make_problem(made, rng, headings, force_std=0.05, size=SIZE).log
-    return weigh_model(learned, log)
+    return estimate_masses(learned, log)
 
 
 def test_mass_center_and_friction_are_near_the_truth(weighed, truth):
@@ -152,7 +152,7 @@ def test_the_report_tells_it_beside_the_truth(weighed, truth):
 
 def test_without_forces_the_friction_stays_as_supposed(learned, weighed):
     log = make_problem(Truth(MASS, np.zeros(2), 0.4), np.random.default_rng(1), size=SIZE).log
-    unmoved = weigh_model(replace(learned, force=None), log)
+    unmoved = estimate_masses(replace(learned, force=None), log)
     params = unmoved.params
     supposed = learned.params.mass @ learned.params.friction / learned.params.total_mass
     assert params.mass @ params.friction / params.total_mass == pytest.approx(supposed)
@@ -167,7 +167,7 @@ def test_without_weighings_the_pushes_are_learned_from_once(learned):
         return learned
 
     log = PushLog(())
-    assert learn_with_weighings(learn, log, WeighingLog(), start=learned) == (learned, learned)
+    assert learn_with_mass_tests(learn, log, MassTestLog(), start=learned) == (learned, learned)
     assert asked == [(log, learned, None)]
 
 
@@ -178,34 +178,34 @@ def test_a_method_that_cannot_hold_frictions_learns_from_the_pushes_once(learned
         asked.append(friction)
         return learned
 
-    press = EdgePress(np.zeros(3), np.array([0.08, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
-    weighings = WeighingLog((press,))
-    pushed, found = learn_with_weighings(learn, PushLog(()), weighings, holds_friction=False)
+    press = TiltTest(np.zeros(3), np.array([0.08, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
+    weighings = MassTestLog((press,))
+    pushed, found = learn_with_mass_tests(learn, PushLog(()), weighings, holds_friction=False)
     assert asked == [None] and pushed is learned and found.absolute.presses == 1
-    learn_with_weighings(learn, PushLog(()), weighings)
+    learn_with_mass_tests(learn, PushLog(()), weighings)
     assert asked[1] is None and asked[2] is not None
 
 
 def test_no_weighing_is_refused(learned):
     with pytest.raises(IdentificationError, match="there are none"):
-        weigh_model(learned, WeighingLog())
+        estimate_masses(learned, MassTestLog())
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_tilted_loads_have_the_center_and_are_the_nearest(seed):
     rng = np.random.default_rng(seed)
     p = rng.uniform(-0.1, 0.1, (40, 2))
-    share = rng.dirichlet(np.ones(40))
-    center = 0.5 * share @ p + 0.5 * p[rng.integers(40)]
-    a = tilt_to_center(share, p, center)
+    fraction = rng.dirichlet(np.ones(40))
+    center = 0.5 * fraction @ p + 0.5 * p[rng.integers(40)]
+    a = tilt_to_center(fraction, p, center)
     np.testing.assert_allclose(a @ p, center, atol=1e-9)
     assert a.sum() == pytest.approx(1)
     # Any other loads with that center are farther off in relative entropy.
-    nearest = a @ np.log(a / share)
+    nearest = a @ np.log(a / fraction)
     null = np.linalg.svd(np.vstack([np.ones(40), p.T]))[2][3:]
     for _ in range(20):
         other = a + 0.01 * a.min() * (rng.standard_normal(37) @ null)
-        assert other @ np.log(other / share) > nearest
+        assert other @ np.log(other / fraction) > nearest
 
 
 def test_a_center_that_no_loads_have_is_come_near_to():
@@ -216,7 +216,7 @@ def test_a_center_that_no_loads_have_is_come_near_to():
 
 def test_a_center_of_mass_outside_the_object_is_never_called_learned(weighed):
     mean = weighed.absolute.mean.copy()
-    mean[CENTER] = (1.0, 0.0)
+    mean[CENTER_INDICES] = (1.0, 0.0)
     noted = _note_center_outside(
         replace(weighed, absolute=replace(weighed.absolute, mean=mean)), "weighings.csv"
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gridpush_drake.dynamics.physics import Physics
-from gridpush_drake.interop.differentiable import ARGUMENTS, PushSetting
+from gridpush_drake.interop.differentiable import ARGUMENT_NAMES, PushSetting
 from gridpush_drake.objects.grid_object import GridObject
 from tests.helpers.made_identifications import make_block
 
@@ -42,4 +42,4 @@ def make_case(seed: int = 0) -> Case:
         np.array([0.06, 0.01]),
         np.array([0.001, -0.002, 0.02]),
     )
-    return Case(obj, dict(zip(ARGUMENTS, values, strict=True)))
+    return Case(obj, dict(zip(ARGUMENT_NAMES, values, strict=True)))

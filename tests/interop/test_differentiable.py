@@ -9,7 +9,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, SimulationError
 from gridpush_drake.identification.model import Model
-from gridpush_drake.interop.differentiable import ARGUMENTS, PushFunction, PushSetting
+from gridpush_drake.interop.differentiable import ARGUMENT_NAMES, PushFunction, PushSetting
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
 from tests.interop.push_functions import REGIMES, make_case
@@ -37,11 +37,11 @@ def test_it_is_what_simulate_does(case):
 
 
 @pytest.mark.parametrize("regime", REGIMES)
-@pytest.mark.parametrize("name", ARGUMENTS)
+@pytest.mark.parametrize("name", ARGUMENT_NAMES)
 def test_every_block_meets_finite_differences(case, name, regime):
     function = PushFunction(case.obj, case.make_setting(regime))
     values = dict(case.values)
-    at = ARGUMENTS.index(name)
+    at = ARGUMENT_NAMES.index(name)
     _, blocks = function.differentiate(*values.values())
 
     def vary(x):
@@ -57,7 +57,7 @@ def test_leading_dimensions_broadcast(case):
     values["contact_friction"] = np.linspace(0.3, 0.5, 3)
     poses, blocks = function.differentiate(*values.values())
     assert poses.shape == (2, 3, 26, 3)
-    for block, name in zip(blocks, ARGUMENTS, strict=True):
+    for block, name in zip(blocks, ARGUMENT_NAMES, strict=True):
         assert block.shape == (2, 3, 26, 3, *case.values[name].shape), name
     one = {**values, "start": values["start"][1, 0], "contact_friction": np.array(0.4)}
     alone, of_it = function.differentiate(*one.values())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.interop.differentiable import ARGUMENTS, PushFunction
+from gridpush_drake.interop.differentiable import ARGUMENT_NAMES, PushFunction
 from tests.helpers.finite_difference import check_jacobian
 from tests.interop.push_functions import REGIMES, make_case
 
@@ -13,7 +13,7 @@ jax.config.update("jax_enable_x64", True)
 
 from gridpush_drake.interop.jax import PushSetting, simulate  # noqa: E402
 
-EVERY = tuple(range(len(ARGUMENTS)))
+EVERY = tuple(range(len(ARGUMENT_NAMES)))
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def function(case, request):
     setting = case.make_setting(request.param)
 
     def run(*values):
-        return simulate(case.obj, setting, **dict(zip(ARGUMENTS, values, strict=True)))
+        return simulate(case.obj, setting, **dict(zip(ARGUMENT_NAMES, values, strict=True)))
 
     run.expected = PushFunction(case.obj, setting)
     return run
@@ -89,7 +89,7 @@ def test_batches_are_what_single_pushes_are(case, function):
 def test_a_whole_path_is_differentiated(case):
     setting = case.make_setting(path=True)
     values = dict(case.values)
-    given = {name: values[name] for name in ARGUMENTS if name != "friction"}
+    given = {name: values[name] for name in ARGUMENT_NAMES if name != "friction"}
 
     def run(friction):
         return simulate(case.obj, setting, friction=friction, **given)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.interop.differentiable import ARGUMENTS, PushFunction
+from gridpush_drake.interop.differentiable import ARGUMENT_NAMES, PushFunction
 from tests.interop.push_functions import REGIMES, make_case
 
 torch = pytest.importorskip("torch", reason="torch is not installed", exc_type=ImportError)
@@ -17,7 +17,7 @@ pytestmark = [
     for kind in ("FutureWarning", "DeprecationWarning")
 ]
 
-EVERY = tuple(range(len(ARGUMENTS)))
+EVERY = tuple(range(len(ARGUMENT_NAMES)))
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def function(case, request):
     setting = case.make_setting(request.param)
 
     def run(*values):
-        return simulate(case.obj, setting, **dict(zip(ARGUMENTS, values, strict=True)))
+        return simulate(case.obj, setting, **dict(zip(ARGUMENT_NAMES, values, strict=True)))
 
     run.expected = PushFunction(case.obj, setting)
     return run

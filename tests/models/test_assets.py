@@ -20,9 +20,9 @@ from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario, write_scenario
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import read_scenario, write_scenario
 
 FILES = sorted(
     path.relative_to(find_models()).as_posix()

@@ -6,8 +6,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.station.robot import AddRobot, find_robot
-from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.robot.robot import AddRobot, find_robot
+from gridpush_drake.station.schema.scenario import PushScenario
 
 ROBOT = find_robot(PushScenario().directives)
 TIP_RADIUS = ROBOT.finger.tip_radius

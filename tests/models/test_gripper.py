@@ -16,10 +16,10 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from gridpush_drake.multibody.parser import MakeParser, find_models
-from gridpush_drake.planning.pregrasp.gripper import PadLimit
-from gridpush_drake.station.grasping import AddGripperController
-from gridpush_drake.station.robot_measures import GripperMeasures, read_measures
-from gridpush_drake.systems.grasp_trajectory import CONTROLLER_STIFFNESS
+from gridpush_drake.planning.pregrasp.grasp.gripper import PadLimit
+from gridpush_drake.station.control.grasping import AddGripperController
+from gridpush_drake.station.robot.measures import GripperMeasures, read_measures
+from gridpush_drake.systems.execution.grasp_trajectory import CONTROLLER_STIFFNESS
 
 CLOSING_DOWN = RigidTransform(RollPitchYaw(-np.pi / 2, np.pi / 2, 0.0), [0.0, 0.0, 0.0])
 """X_WB of the gripper's body: fingers forward, closing vertically, as the bracket holds it."""
@@ -214,10 +214,10 @@ def calc_tilt(name, mass, d_x, d_y):
 def test_a_plate_is_held_as_far_as_the_pads_limit_says_and_no_further(name, d_x, d_y):
     measures = read_gripper(name)
     pads = PadLimit(measures.make_gripper(), measures.max_force, weight=1.0)
-    (share,) = pads.calc_shares(
+    (fraction,) = pads.calc_fractions(
         np.zeros((1, 2)), np.zeros(1), np.array([[d_x, d_y]])
     )  # of each newton
-    limit = 1.0 / share / 9.81
+    limit = 1.0 / fraction / 9.81
     assert (
         calc_tilt(name, 0.95 * limit, d_x, d_y) < 0.5 * measures.max_force / 80.0
     )  # the plate's surface gives way

@@ -22,9 +22,9 @@ from gridpush_drake.multibody.parser import (
     check_directives,
     check_model,
 )
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.robot import find_robot, list_robots, make_robot_directives
-from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.robot.robot import find_robot, list_robots, make_robot_directives
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
 
 
 def include(path):

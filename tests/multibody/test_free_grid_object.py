@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.cli.options import load_object
+from gridpush_drake.cli.shell.options import load_object
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.ground_truth import (
     SetGridObjectParameters,
@@ -63,8 +63,8 @@ def test_rigid_feet_bear_what_holds_the_body_lowest(support):
     obj = load_object("claw_hammer")
     params = CellParameters.by_part(obj, {1: 0.002, 2: 0.012}, 0.35)
     feet = calc_support(Model(obj, params), support, 5, 0.012, rim_gap=5e-4)
-    shares = calc_rigid_loads(obj.p_BC, feet.gap, params.center_of_mass(obj))
-    expected = params.total_mass * shares
+    fractions = calc_rigid_loads(obj.p_BC, feet.gap, params.center_of_mass(obj))
+    expected = params.total_mass * fractions
     scene = make_scene(obj, params, "free", support=feet, rim_gap=5e-4)
     SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.1, 0.2, 0.5))
     scene.simulator.AdvanceTo(1.0)

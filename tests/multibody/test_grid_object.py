@@ -10,7 +10,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from shapely import Point, Polygon, unary_union
 
-from gridpush_drake.bench.plant import PlantWorld
+from gridpush_drake.bench.worlds.plant import PlantWorld
 from gridpush_drake.errors import ObjectError, ParameterError, SimulationError
 from gridpush_drake.geometry.outline_mesh import make_outline_mesh
 from gridpush_drake.identification.model import Model
@@ -20,8 +20,8 @@ from gridpush_drake.multibody.contact_material import (
     calc_own_friction,
 )
 from gridpush_drake.multibody.grid_object import (
-    CLEARANCE,
-    PROTRUSION,
+    MAX_PROTRUSION,
+    OUTLINE_CLEARANCE,
     AddGridObject,
     ApplyGridObjectFilters,
     MakeSpatialInertia,
@@ -282,7 +282,7 @@ def test_a_sphere_touches_the_outline_with_its_depth_and_normal(name):
         deepest = max(pairs, key=lambda pair: pair.depth)
         # nhat_BA_W points out of B
         found = deepest.nhat_BA_W if deepest.id_A == tip else -deepest.nhat_BA_W
-        assert deepest.depth == pytest.approx(DEPTH, abs=2 * PROTRUSION)
+        assert deepest.depth == pytest.approx(DEPTH, abs=2 * MAX_PROTRUSION)
         np.testing.assert_allclose(found, [*normal, 0.0], atol=1e-6)
         # at most the two edges of a corner, and none of what fills the inside
         assert len(pairs) <= 3
@@ -296,9 +296,9 @@ def test_a_sphere_touches_the_outline_with_its_depth_and_normal(name):
 def test_boxes_lie_within_the_outline(name):
     obj = load(name)
     for flat in make_edge_boxes(obj):
-        assert obj.outline.buffer(2 * PROTRUSION).covers(to_polygon(flat))
+        assert obj.outline.buffer(2 * MAX_PROTRUSION).covers(to_polygon(flat))
     for flat in make_inner_boxes(obj):
-        assert obj.outline.buffer(-0.9 * CLEARANCE).covers(to_polygon(flat))
+        assert obj.outline.buffer(-0.9 * OUTLINE_CLEARANCE).covers(to_polygon(flat))
 
 
 @pytest.mark.parametrize("name", ["claw_hammer", "toolbox", "square", "wrench"])

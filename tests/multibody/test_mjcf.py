@@ -111,11 +111,11 @@ PUSHES = [
 def test_pushes_end_as_the_model_says(tmp_path):
     """Within 2 mm and 1 degree on average is what was asked for."""
     off = []
-    for seed, (name, share, angle) in enumerate(PUSHES):
+    for seed, (name, fraction, angle) in enumerate(PUSHES):
         obj, params = make_object(name, seed)
         path = tmp_path / f"{name}.xml"
         WriteMjcf(Model(obj, params), path, False, height=0.03)
-        s, _ = find_reachable_outline(obj, RADIUS, CLEARANCE).locate(share)
+        s, _ = find_reachable_outline(obj, RADIUS, CLEARANCE).locate(fraction)
         push = Push.on_outline(
             obj, float(s), angle, 0.06, radius=RADIUS, speed=0.05, clearance=CLEARANCE
         )

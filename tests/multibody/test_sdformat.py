@@ -8,7 +8,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.bench.plant import STICTION_TOLERANCE, TIME_STEP, AddPusher, PlantWorld
+from gridpush_drake.bench.worlds.plant import STICTION_TOLERANCE, TIME_STEP, AddPusher, PlantWorld
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError, OutputError, ParameterError
 from gridpush_drake.identification.model import Model

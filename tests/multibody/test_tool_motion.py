@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from gridpush_drake.multibody.tool_motion import TURNING_RADIUS, TrajectorySegment
-from gridpush_drake.systems.messages import PushPhase
+from gridpush_drake.systems.base.messages import PushPhase
 
 A, B = (0.1, 0.2, 0.3), (0.4, 0.2, -0.1)  # 0.5 m apart
 
@@ -104,8 +104,8 @@ def test_wait_and_leg_of_no_length():
 
 @pytest.mark.parametrize("segment", SEGMENTS)
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.5, 0.9])
-def test_stop_is_the_same_motion_first_and_then_the_soonest_end(segment, share):
-    t = share * segment.moving_time
+def test_stop_is_the_same_motion_first_and_then_the_soonest_end(segment, fraction):
+    t = fraction * segment.moving_time
     stopped = segment.stop_from(t)
     for s in np.linspace(0.0, min(t, stopped.moving_time / 2), 9):
         np.testing.assert_allclose(stopped.position(s), segment.position(s), atol=1e-12)

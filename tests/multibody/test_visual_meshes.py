@@ -9,7 +9,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.multibody.parser import (
-    MESHES,
+    BODY_MESHES,
     NETWORK_VARIABLE,
     AddVisualMeshes,
     MakeParser,
@@ -47,7 +47,7 @@ TRIANGLE = {
 @pytest.fixture
 def drake_models(tmp_path):
     """A folder with a mesh for every body that takes one."""
-    for mesh in {mesh for meshes in MESHES.values() for mesh in meshes}:
+    for mesh in {mesh for meshes in BODY_MESHES.values() for mesh in meshes}:
         (tmp_path / mesh).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / mesh).write_text(json.dumps(TRIANGLE))
     return tmp_path
@@ -72,14 +72,16 @@ class Scene:
         ]
 
     def contact_shapes(self):
-        return {body: self.shapes(body, Role.kProximity) for body in MESHES}
+        return {body: self.shapes(body, Role.kProximity) for body in BODY_MESHES}
 
 
 def test_every_changed_body_shows_its_meshes_alone_and_touches_as_before(drake_models):
     scene = Scene()
     before = scene.contact_shapes()
-    assert sorted(AddVisualMeshes(scene.plant, scene.scene_graph, drake_models)) == sorted(MESHES)
-    for body, meshes in MESHES.items():
+    assert sorted(AddVisualMeshes(scene.plant, scene.scene_graph, drake_models)) == sorted(
+        BODY_MESHES
+    )
+    for body, meshes in BODY_MESHES.items():
         assert scene.shapes(body) == ["Mesh"] * len(meshes)
     assert scene.shapes("finger_tip") == ["Sphere"]
     assert scene.contact_shapes() == before
@@ -88,10 +90,10 @@ def test_every_changed_body_shows_its_meshes_alone_and_touches_as_before(drake_m
 
 
 def test_a_body_that_lacks_a_mesh_keeps_its_primitives(drake_models):
-    (drake_models / MESHES["iiwa_link_2"][1]).unlink()
+    (drake_models / BODY_MESHES["iiwa_link_2"][1]).unlink()
     scene, bare = Scene(), Scene()
     changed = AddVisualMeshes(scene.plant, scene.scene_graph, drake_models)
-    assert sorted(changed) == sorted(set(MESHES) - {"iiwa_link_2"})
+    assert sorted(changed) == sorted(set(BODY_MESHES) - {"iiwa_link_2"})
     assert scene.shapes("iiwa_link_2") == bare.shapes("iiwa_link_2")
     assert "Mesh" not in bare.shapes("iiwa_link_2")
 
@@ -100,7 +102,7 @@ def test_without_the_meshes_nothing_is_missing(tmp_path):
     scene, bare = Scene(), Scene()
     assert AddVisualMeshes(scene.plant, scene.scene_graph, None) == []
     assert AddVisualMeshes(scene.plant, scene.scene_graph, tmp_path) == []
-    assert all(scene.shapes(body) == bare.shapes(body) != [] for body in MESHES)
+    assert all(scene.shapes(body) == bare.shapes(body) != [] for body in BODY_MESHES)
 
 
 def test_models_that_are_not_there_are_passed_over(drake_models):

@@ -8,22 +8,22 @@ from shapely import Polygon
 from gridpush_drake.errors import (
     CameraError,
     ImageError,
+    MultipleObjectsError,
     NoObjectError,
     NoTableError,
     ObjectAtBorderError,
     ObjectError,
     PerceptionError,
-    SeveralObjectsError,
 )
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.perception import Camera, DetectorOptions, detect_object, read_color, read_depth
-from gridpush_drake.perception.foreground import (
+from gridpush_drake.perception.detection.foreground import (
     Foreground,
     fill_holes,
     find_foreground,
     refine_boundary,
 )
-from gridpush_drake.perception.table_view import cover_pixels
+from gridpush_drake.perception.images.table_view import cover_pixels
 from tests.helpers.pictures import calc_outline_error, cover, make_camera, paint
 from tests.helpers.shared_data import shared_data
 
@@ -116,7 +116,7 @@ def test_what_the_arm_hid_is_no_object_though_its_depth_is_missing():
 def test_what_joins_two_objects_must_be_seen():
     """Two objects with table between them are two, however alike they are."""
     apart = HEAD - [0.06, 0.0]
-    with pytest.raises(SeveralObjectsError):
+    with pytest.raises(MultipleObjectsError):
         detect([(apart, POSE, HEIGHT, BROWN), (GRIP, POSE, HEIGHT, BROWN)])
 
 
@@ -189,7 +189,7 @@ def test_what_is_wrong_is_said_with_a_picture():
     piece = (L_SHAPE, POSE, HEIGHT, BROWN)
     cases = {
         NoObjectError: [],
-        SeveralObjectsError: [
+        MultipleObjectsError: [
             (L_SHAPE, (-0.15, -0.1, 0.3), HEIGHT, (60, 60, 120)),
             (L_SHAPE, (0.15, 0.05, 0), 0.02, BROWN),
         ],

@@ -5,10 +5,10 @@ from shapely import Polygon
 
 from gridpush_drake.errors import (
     ImageError,
+    MultipleObjectsError,
     NoObjectError,
     ObjectAtBorderError,
     PerceptionError,
-    SeveralObjectsError,
 )
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.perception import Camera, DetectorOptions, ObjectHint, detect_object, read_mask
@@ -42,7 +42,7 @@ TWO = [(L_SHAPE, POSE, HEIGHT, BROWN), (SQUARE, ASIDE, HEIGHT, (60, 90, 150))]
 
 
 def test_a_click_chooses_among_several():
-    with pytest.raises(SeveralObjectsError):
+    with pytest.raises(MultipleObjectsError):
         look(None, TWO)
     camera = make_camera()
     for outline, pose, *_ in TWO:
@@ -72,7 +72,7 @@ def test_an_object_that_seems_torn():
     def find(hint):
         return detect_object(color, None, camera, DetectorOptions(height=HEIGHT, hint=hint))
 
-    with pytest.raises(SeveralObjectsError):
+    with pytest.raises(MultipleObjectsError):
         find(None)
     found = find(ObjectHint(box=find_box(camera, L_SHAPE, POSE)))
     assert calc_outline_error(found.outline, true) < 1e-3

@@ -12,7 +12,7 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.perception.pose_prediction import (
+from gridpush_drake.perception.tracking.pose_prediction import (
     PosePrediction,
     PushModel,
     ScenePrediction,

@@ -7,8 +7,12 @@ import shapely
 from gridpush_drake.errors import PerceptionError
 from gridpush_drake.geometry.se2 import compose
 from gridpush_drake.perception import Frame
-from gridpush_drake.perception.scene_tracking import KnownObject, SceneTracker, track_objects
-from gridpush_drake.perception.tracking import PoseTracker
+from gridpush_drake.perception.tracking.multi_object_tracking import (
+    KnownObject,
+    SceneTracker,
+    track_objects,
+)
+from gridpush_drake.perception.tracking.tracking import PoseTracker
 from tests.helpers.pictures import make_camera, paint
 
 L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [

@@ -9,20 +9,20 @@ from shapely import Polygon
 
 from gridpush_drake.errors import (
     CameraError,
+    MultipleObjectsError,
     NoObjectError,
-    SeveralObjectsError,
     SheetError,
 )
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.perception import (
-    SHEETS,
+    SHEET_SIZES,
     DetectorOptions,
     ObjectHint,
     detect_by_sheet,
     find_sheet,
     read_focal_length,
 )
-from gridpush_drake.perception.sheet import list_corners
+from gridpush_drake.perception.calibration.sheet import list_corners
 from tests.helpers.pictures import calc_outline_error, make_camera, paint
 
 PAPER = (235, 233, 228)
@@ -68,7 +68,7 @@ def photograph(prisms, view=SLANTED, seed=0, table=TABLE, shadow=0.0, distortion
 
 def lay(pose=SHEET_POSE, size="a4"):
     """A sheet as a prism of no height."""
-    return list_corners(SHEETS[size])[:, :2], pose, 0.0, PAPER
+    return list_corners(SHEET_SIZES[size])[:, :2], pose, 0.0, PAPER
 
 
 def block(pose):
@@ -89,7 +89,7 @@ def calc_error(outline_B):
 @pytest.mark.parametrize("pose", [BESIDE, ON_SHEET], ids=["beside", "on"])
 def test_an_outline_is_metric_beside_and_on_a_sheet(pose, knows_camera):
     color, camera = photograph([lay(), block(pose)], shadow=0.2)
-    sheet = find_sheet(color, SHEETS["a4"], camera if knows_camera else None)
+    sheet = find_sheet(color, SHEET_SIZES["a4"], camera if knows_camera else None)
     assert sheet.focal_known
     assert sheet.camera.K[0, 0] == pytest.approx(FOCAL, rel=0.01)
     assert sheet.camera.center[2] == pytest.approx(SLANTED["distance"], rel=0.01)
@@ -108,27 +108,27 @@ def test_an_outline_is_metric_beside_and_on_a_sheet(pose, knows_camera):
 
 def test_a_letter_is_no_a4():
     color, _ = photograph([lay(size="letter"), block(BESIDE)])
-    sheet = find_sheet(color, SHEETS["letter"])
+    sheet = find_sheet(color, SHEET_SIZES["letter"])
     by_sheet = detect_by_sheet(color, sheet, DetectorOptions(height=HEIGHT))
     assert calc_error(by_sheet.found.outline_B) < MAX_ERROR
     with pytest.raises(SheetError, match=r"no sheet of 297 x 210 mm.*may be letter"):
-        find_sheet(color, SHEETS["a4"])
+        find_sheet(color, SHEET_SIZES["a4"])
 
 
 def test_a_lens_that_bends_lines_is_no_matter_where_it_is_known():
     color, camera = photograph([lay(), block(BESIDE)], distortion=(-0.12, 0.05, 0, 0))
-    sheet = find_sheet(color, SHEETS["a4"], camera)
+    sheet = find_sheet(color, SHEET_SIZES["a4"], camera)
     by_sheet = detect_by_sheet(color, sheet, DetectorOptions(height=HEIGHT))
     assert calc_error(by_sheet.found.outline_B) < MAX_ERROR
 
 
 def test_from_straight_above_the_focal_length_must_be_told_for_what_has_a_height():
     color, _ = photograph([lay(), block(BESIDE)], ABOVE)
-    blind = find_sheet(color, SHEETS["a4"])
+    blind = find_sheet(color, SHEET_SIZES["a4"])
     assert not blind.focal_known
     with pytest.raises(CameraError, match=r"focal length.*slant of 20 to 50 degrees"):
         detect_by_sheet(color, blind, DetectorOptions(height=HEIGHT))
-    told = find_sheet(color, SHEETS["a4"], focal=FOCAL)
+    told = find_sheet(color, SHEET_SIZES["a4"], focal=FOCAL)
     assert told.focal_known
     by_sheet = detect_by_sheet(color, told, DetectorOptions(height=HEIGHT))
     assert calc_error(by_sheet.found.outline_B) < MAX_ERROR
@@ -137,7 +137,7 @@ def test_from_straight_above_the_focal_length_must_be_told_for_what_has_a_height
 def test_what_is_flat_needs_no_focal_length():
     card = (BLOCK, BESIDE, 0.0, BLUE)
     color, _ = photograph([lay(), card], ABOVE)
-    by_sheet = detect_by_sheet(color, find_sheet(color, SHEETS["a4"]))
+    by_sheet = detect_by_sheet(color, find_sheet(color, SHEET_SIZES["a4"]))
     assert calc_error(by_sheet.found.outline_B) < MAX_ERROR
 
 
@@ -154,19 +154,19 @@ def test_what_is_flat_needs_no_focal_length():
 def test_refuses_what_does_not_tell_the_scale(prisms, why):
     color, _ = photograph(prisms)
     with pytest.raises(SheetError, match=why) as refused:
-        find_sheet(color, SHEETS["a4"])
+        find_sheet(color, SHEET_SIZES["a4"])
     assert refused.value.picture.shape == color.shape
 
 
 def test_a_sheet_alone_is_no_object_and_a_click_chooses_one_of_two():
     color, camera = photograph([lay()])
     with pytest.raises(NoObjectError):
-        detect_by_sheet(color, find_sheet(color, SHEETS["a4"]))
+        detect_by_sheet(color, find_sheet(color, SHEET_SIZES["a4"]))
     other = (-0.16, 0.0, 0.3)
     small = (0.3 * BLOCK, other, HEIGHT, (150, 60, 60))
     color, camera = photograph([lay(), block((-0.05, 0.03, 0.9)), small])
-    sheet = find_sheet(color, SHEETS["a4"])
-    with pytest.raises(SeveralObjectsError):
+    sheet = find_sheet(color, SHEET_SIZES["a4"])
+    with pytest.raises(MultipleObjectsError):
         detect_by_sheet(color, sheet, DetectorOptions(height=HEIGHT))
     x, y = camera.project([-0.05, 0.03, HEIGHT])
     hint = ObjectHint(click=(x - 8, y))

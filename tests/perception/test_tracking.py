@@ -8,11 +8,11 @@ from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.perception import Camera, Frame, PoseTracker
-from gridpush_drake.perception.look_alikes import Expectation, find_look_alikes
-from gridpush_drake.perception.outline_finder import TrackerOptions
-from gridpush_drake.perception.registration import calc_dilution
-from gridpush_drake.perception.silhouette import make_silhouette
-from gridpush_drake.perception.tracking import DOUBT_TIME
+from gridpush_drake.perception.images.silhouette import make_silhouette
+from gridpush_drake.perception.tracking.outline_finder import TrackerOptions
+from gridpush_drake.perception.tracking.registration import calc_dilution
+from gridpush_drake.perception.tracking.symmetries import ExpectedPose, find_symmetries
+from gridpush_drake.perception.tracking.tracking import AMBIGUITY_TIME
 from tests.helpers.pictures import cover, make_camera, paint
 
 L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [
@@ -294,7 +294,7 @@ def test_a_model_says_which_side_of_a_square_is_which():
     """After a turn by 60 degrees its next side is nearer to where the last one was."""
     start = np.array([-0.04, -0.02, 0.2])
     end = start + [0.06, 0.05, np.radians(60)]
-    told = Expectation(end + [0.01, -0.01, 0.1], place_deviation=0.02, turn_deviation=0.15)
+    told = ExpectedPose(end + [0.01, -0.01, 0.1], place_deviation=0.02, turn_deviation=0.15)
     first, last = push_out_of_sight(SQUARE, start, end, told)
     np.testing.assert_allclose(last.pose, end, atol=5e-3)
     assert np.sqrt(last.covariance[2, 2]) < np.radians(3)
@@ -306,13 +306,13 @@ def test_a_model_says_which_side_of_a_square_is_which():
 
 def test_which_ways_an_outline_can_be_turned():
     def list_angles(outline):
-        return sorted(round(float(np.degrees(way.pose[2]))) for way in find_look_alikes(outline))
+        return sorted(round(float(np.degrees(way.pose[2]))) for way in find_symmetries(outline))
 
     assert list_angles(shapely.box(0.01, -0.05, 0.11, 0.05)) == [90, 180, 270]
     assert list_angles(PLATE) == [180]
     assert list_angles(shapely.Point(0.1, 0.0).buffer(0.05)) == []
     assert list_angles(shapely.Polygon(L_SHAPE)) == []
-    (way,) = find_look_alikes(NEARLY)
+    (way,) = find_symmetries(NEARLY)
     assert 0.9 < way.overlap < 1.0
     turned = transform(way.pose, np.array(NEARLY.exterior.coords))
     overlap = shapely.Polygon(turned).intersection(NEARLY).area / NEARLY.area
@@ -407,7 +407,7 @@ def test_a_jump_of_an_object_that_nothing_touched_is_not_told_until_it_is_plainl
     # With nothing before it, the object is where it is seen; and a view that stays poor must do.
     _, plain = tracker.track(doubted, after._replace(t=0.2), untouched=True)
     np.testing.assert_allclose(plain.pose, moved, atol=1e-3)
-    late = after._replace(t=0.2 + DOUBT_TIME)
+    late = after._replace(t=0.2 + AMBIGUITY_TIME)
     assert tracker.track(doubted, late, covered, untouched=True)[1].seen
 
 

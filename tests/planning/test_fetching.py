@@ -15,7 +15,12 @@ from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, calc_overhangs
 from gridpush_drake.planning.scene.belief import SceneBelief
-from gridpush_drake.planning.scene.fetching import CLEAR, FetchLearning, FetchOptions, FetchPlanner
+from gridpush_drake.planning.scene.fetching import (
+    CLEARING_KIND,
+    FetchLearning,
+    FetchOptions,
+    FetchPlanner,
+)
 from gridpush_drake.planning.scene.loop import SceneAction, SceneLearning, SceneStep
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import SimulatedWorld
@@ -55,7 +60,7 @@ def test_first_what_is_in_the_way_is_cleared_away():
     planner = FetchPlanner(truth.objects, 0, TABLE, seed=1)
     belief = SceneBelief.of_prior(truth.objects, draws=2)
     decision = planner.decide(truth.poses, belief, [])
-    assert decision.kind == CLEAR and decision.push is not None
+    assert decision.kind == CLEARING_KIND and decision.push is not None
     assert "square" in decision.reason and "out of the way of combination_wrench" in decision.reason
     # by the truth, too, there is more room afterwards
     world = SimulatedWorld(*truth, TABLE)
@@ -124,7 +129,7 @@ def test_the_wanted_object_is_fetched_and_nothing_falls():
     run = run_task(world, planner, belief, learning=learning, max_pushes=50, seed=1)
     assert run.state.done and run.state.last.action is SceneAction.GRASP, run.state.status.reason
     kinds = [step.decision.kind for step in run.state.steps]
-    assert kinds[0] == CLEAR and "slide" in kinds
+    assert kinds[0] == CLEARING_KIND and "slide" in kinds
     # judged by the truth
     assert not np.any(world.truth.fallen)
     part = run.state.last.goal.part

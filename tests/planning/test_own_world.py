@@ -12,7 +12,7 @@ from gridpush_drake.bench import planning
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
 from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoEdgeWorld
 from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
-from gridpush_drake.bench.worlds import WORLDS, find_world
+from gridpush_drake.bench.worlds.by_name import WORLD_CLASSES, find_world
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError, PlanningError
 from gridpush_drake.identification.model import Model
@@ -104,14 +104,16 @@ def test_a_closed_loop_reaches_its_goal_in_it(DiscWorld, puck):
 def test_benches_take_it_by_its_name(DiscWorld):
     name = "disc_world:DiscWorld"
     (run,) = planning.run_job(
-        planning.Job(
-            kind="push", data=None, name="pliers", number=0, pairs=1, modes=(planning.UNIFORM,),
+        planning.PlanningJob(
+            kind="push", data=None, name="pliers", number=0, pairs=1, modes=(planning.UNIFORM_MODEL,),
             seed=0, world=name,
         )
     )  # fmt: skip
     assert run.pushes >= 1
     score = pregrasp.run_job(
-        pregrasp.Job(name="toolbox", mass_set=0, seed=0, method=pregrasp.UNIFORM, truth=name)
+        pregrasp.PreGraspJob(
+            name="toolbox", mass_set=0, seed=0, method=pregrasp.UNIFORM_METHOD, truth=name
+        )
     )
     assert score.method == name
     assert score.outcome.slides >= 1
@@ -126,7 +128,7 @@ def test_an_unknown_world_is_refused(DiscWorld):
 
 
 def test_the_named_worlds_are_of_one_form():
-    classes = [find_world(name) for name in WORLDS]
+    classes = [find_world(name) for name in WORLD_CLASSES]
     assert classes[:3] == [SimulatedWorld, EdgeWorld, MujocoEdgeWorld]
     assert all(issubclass(each, TrackedWorld) for each in (*classes, MujocoWorld))
     for method in ("put", "execute", "observe"):
@@ -192,10 +194,10 @@ def test_a_finger_is_steered_in_a_world_of_one_s_own(puck):
     assert run.status == FollowStatus.REACHED
     assert np.hypot(*(world.pose[:2] - (0.15, 0.0))) < 0.01
     # Somebody's hand may put it elsewhere; what is no pose is refused.
-    world.shove((0.2, 0.1, 0.0))
+    world.disturb((0.2, 0.1, 0.0))
     np.testing.assert_array_equal(world.pose, [0.2, 0.1, 0.0])
     with pytest.raises(PlanningError, match="pose"):
-        world.shove((np.nan, 0.0, 0.0))
+        world.disturb((np.nan, 0.0, 0.0))
 
 
 def test_a_press_is_made_in_a_world_of_one_s_own():

@@ -12,7 +12,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import SceneAction, SceneLearning
 from gridpush_drake.planning.scene.rearrangement import (
-    FINE,
+    FINE_OPTIONS,
     RearrangeOptions,
     RearrangePlanner,
 )
@@ -93,7 +93,7 @@ def test_an_object_without_a_goal_is_moved_out_of_one():
 
 def test_fine_goals_are_reached_after_learning():
     truth = make_truth(["square", "bar"], [(0, 0, 0), (0.4, -0.4, 0)], seed=3)
-    options = replace(FINE, search=QUICK)
+    options = replace(FINE_OPTIONS, search=QUICK)
     learning = SceneLearning(after=(2,), amplitudes=(0.7,))
     goals = [(0.12, 0.1, 1.0), (np.nan, np.nan, np.nan)]
     run, world, planner = rearrange(truth, goals, options, learning=learning)
@@ -201,8 +201,8 @@ def test_what_is_refused():
         RearrangePlanner(objects, [(0, 0, 0), (np.nan, 0, 0)])
     with pytest.raises(PlanningError, match="lengths"):
         SceneSearchOptions(lengths=(0.2, 0.1))
-    with pytest.raises(PlanningError, match="hit"):
-        RearrangeOptions(hit=0.0)
+    with pytest.raises(PlanningError, match="goal_fraction"):
+        RearrangeOptions(goal_fraction=0.0)
     with pytest.raises(PlanningError, match="min_move"):
         SceneLearning(min_move=0.0)
     with pytest.raises(PlanningError, match="position_std"):

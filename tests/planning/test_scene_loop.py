@@ -8,7 +8,7 @@ import pytest
 from gridpush_drake.dynamics.bodies import describe_object
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.planning.closed_loop import Observation
-from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
+from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp
 from gridpush_drake.planning.robot_status import (
     GraspOutcome,
     GraspPhase,

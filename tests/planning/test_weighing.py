@@ -11,7 +11,7 @@ import shapely
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.geometry.se2 import transform, turn_left
 from gridpush_drake.identification.learning import describe_prior
-from gridpush_drake.identification.weighed_model import believe_before, weigh_model
+from gridpush_drake.identification.tilt_tests.weighed_model import believe_before, estimate_masses
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.planning.closed_loop import Observation
@@ -22,10 +22,10 @@ from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
-from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner, list_edges
+from gridpush_drake.planning.pregrasp.weighing_planner import TiltTestPlanner, list_edges
 from gridpush_drake.planning.robot_status import PressStatus, PressStep, PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_rests, plan_press
+from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_placements, plan_press
 from gridpush_drake.planning.weighing.press import (
     PressOptions,
     PressOutcome,
@@ -38,14 +38,14 @@ from gridpush_drake.planning.weighing.press import (
 )
 from gridpush_drake.planning.weighing.region import cut_to_ellipse
 from gridpush_drake.planning.weighing.sequence import (
-    HEAVIER,
+    MASS_INCREASE,
     SequenceOptions,
     calc_headings,
-    calc_left_open,
-    with_sure_force,
+    calc_remaining_uncertainty,
+    with_no_tip_force,
 )
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
+from gridpush_drake.pushes.weighings import LiftTest, MassTestLog, TiltTest
 from tests.helpers.shapes import rectangle
 
 EDGE = Edge(point=(0.5, 0.1), angle=0.7)
@@ -67,30 +67,30 @@ def make_model(obj, covariance):
 
 def choose_press(model, pose=(0.0, 0.0, 0.0), planner=None):
     """The planner's first choice of a press; None where there is none."""
-    planner = planner or WeighingPlanner(model.obj, SURFACE)
+    planner = planner or TiltTestPlanner(model.obj, SURFACE)
     return next(planner.plan_presses(np.array(pose), model), None)
 
 
-def choose_rest(surely=True, rules=None):
+def choose_rest(is_robust=True, rules=None):
     """The press on the bar that is told best."""
     rests = [
         one
         for heading in calc_headings(BAR, EDGE).tolist()
-        for one in list_rests(BAR, CENTERS, heading, EDGE, TOP, rules, surely=surely)
+        for one in list_placements(BAR, CENTERS, heading, EDGE, TOP, rules, is_robust=is_robust)
     ]
     return min(rests, key=lambda one: one.relative_std)
 
 
 def test_every_planned_press_is_caught_for_each_plausible_center():
     rules = PressRules()
-    rests = list_rests(BAR, CENTERS, EDGE.angle + 0.1, EDGE, TOP, rules)
+    rests = list_placements(BAR, CENTERS, EDGE.angle + 0.1, EDGE, TOP, rules)
     assert len(rests) > 5
     rng = np.random.default_rng(0)
     for planned in rests:
         place = np.array(planned.target.place)
         outline = shapely.Polygon(transform(planned.pose, np.array(BAR.outline.exterior.coords)))
         assert outline.contains(shapely.Point(place).buffer(0.9 * rules.rim))
-        a = planned.target.calc_arm(place)
+        a = planned.target.calc_lever_arm(place)
         assert a >= rules.min_arm
         for c in rng.uniform(CENTERS.min(axis=0), CENTERS.max(axis=0), (50, 2)):
             c_W = transform(planned.pose, c[None])[0]
@@ -105,18 +105,18 @@ def test_every_planned_press_is_caught_for_each_plausible_center():
 def test_what_is_not_safe_is_not_planned():
     heading = EDGE.angle
     near = np.array([[0.1, 0.0], [0.14, 0.02], [0.14, -0.02]])
-    assert not list_rests(BAR, near, heading, EDGE, TOP)
-    assert list_rests(BAR, near, heading + np.pi, EDGE, TOP)
+    assert not list_placements(BAR, near, heading, EDGE, TOP)
+    assert list_placements(BAR, near, heading + np.pi, EDGE, TOP)
     # On the table, nothing hangs over.
     on_table = np.array([*(np.array(EDGE.point) - 0.3 * EDGE.normal), heading])
     assert plan_press(BAR, CENTERS, on_table, EDGE, TOP) is None
     # An object that is supposed to be heavy is not pressed where that takes too much force.
-    heavy = list_rests(BAR, CENTERS, heading, EDGE, TOP, PressRules(mass=10.0))
+    heavy = list_placements(BAR, CENTERS, heading, EDGE, TOP, PressRules(mass=10.0))
     for planned in heavy:
         b = (-EDGE.calc_beyond(transform(planned.pose, CENTERS))).max()
-        a = planned.target.calc_arm(np.array(planned.target.place))
+        a = planned.target.calc_lever_arm(np.array(planned.target.place))
         assert 98.1 * b <= 50.0 * a
-    assert len(heavy) < len(list_rests(BAR, CENTERS, heading, EDGE, TOP))
+    assert len(heavy) < len(list_placements(BAR, CENTERS, heading, EDGE, TOP))
 
 
 def test_the_whole_finger_presses_on_the_object_unless_its_parts_are_too_narrow():
@@ -124,8 +124,8 @@ def test_the_whole_finger_presses_on_the_object_unless_its_parts_are_too_narrow(
     centers = 0.2 * CENTERS
     rules = PressRules()
     assert rules.rim > rules.tip_radius
-    assert not list_rests(bar, centers, EDGE.angle, EDGE, TOP, rules)
-    rests = list_rests(bar, centers, EDGE.angle, EDGE, TOP, replace(rules, is_narrow=True))
+    assert not list_placements(bar, centers, EDGE.angle, EDGE, TOP, rules)
+    rests = list_placements(bar, centers, EDGE.angle, EDGE, TOP, replace(rules, is_narrow=True))
     assert rests
     for planned in rests:
         rim = shapely.Polygon(transform(planned.pose, np.array(bar.outline.exterior.coords)))
@@ -145,7 +145,7 @@ def test_a_part_is_pressed_that_has_little_room_for_the_tip():
     centers = np.array([[0.003, 0.0], [-0.003, 0.001], [-0.003, -0.001]])
     assert rules.spacing > 0.002
     for heading in np.linspace(0.0, 0.1, 5):
-        assert list_rests(bar, centers, EDGE.angle + heading, EDGE, TOP, rules)
+        assert list_placements(bar, centers, EDGE.angle + heading, EDGE, TOP, rules)
 
 
 def test_a_region_is_cut_to_what_an_estimate_leaves():
@@ -262,7 +262,7 @@ def test_an_object_that_is_seen_elsewhere_afterwards_slid():
 @pytest.mark.parametrize("noise", [0.0, 0.2])
 def test_a_press_is_faster_up_to_where_the_object_surely_lies_still(noise):
     slow = press_on(30.0, noise=noise)
-    fast = press_on(30.0, noise=noise, target=replace(TARGET, sure_force=20.0))
+    fast = press_on(30.0, noise=noise, target=replace(TARGET, no_tip_force=20.0))
     # Two thirds of the way up, 10 mm of the spring, take a third of the time.
     assert slow.last - fast.last == pytest.approx(0.01 / (radians(5.0) * 0.05) * 2 / 3, rel=0.1)
     for state in (slow, fast):
@@ -274,7 +274,7 @@ def test_a_press_is_faster_up_to_where_the_object_surely_lies_still(noise):
 
 @pytest.mark.parametrize("force", [1.0, 5.0, 15.0])
 def test_an_object_that_tilts_below_its_sure_force_is_caught_all_the_same(force):
-    state = press_on(force, noise=0.2, target=replace(TARGET, sure_force=30.0))
+    state = press_on(force, noise=0.2, target=replace(TARGET, no_tip_force=30.0))
     assert state.outcome == PressOutcome.TILTED
     assert state.tilt < radians(4.3)
 
@@ -305,7 +305,7 @@ def test_the_tip_follows_the_top_of_a_tilting_object_and_creeps_no_farther(tilt)
     options = PressOptions()
     room = options.follow_room
     drawn = TOP * np.tan(tilt) * TARGET.normal
-    sunk = TARGET.hover - (0.0, 0.0, TARGET.calc_arm(TARGET.hover) * tilt)
+    sunk = TARGET.hover - (0.0, 0.0, TARGET.calc_lever_arm(TARGET.hover) * tilt)
     # While it tilts, and while it is let come back.
     phases = ((PressPhase.DWELLING, None), (PressPhase.RETREATING, PressOutcome.TILTED))
     for direction, (phase, outcome) in product((TARGET.normal, turn_left(TARGET.normal)), phases):
@@ -356,21 +356,23 @@ def test_a_heavy_object_is_pressed_where_it_is_expected_to_tilt():
     assert not [
         one
         for heading in headings
-        for one in list_rests(BAR, wide, heading, EDGE, TOP, rules)
-        if rules.mass * GRAVITY * _calc_farthest(one, wide) > rules.max_force * _calc_arm(one)
+        for one in list_placements(BAR, wide, heading, EDGE, TOP, rules)
+        if rules.mass * GRAVITY * _calc_farthest(one, wide) > rules.max_force * _calc_lever_arm(one)
     ]
     heavier = replace(rules, mass=2.5)
     assert not [
-        one for heading in headings for one in list_rests(BAR, wide, heading, EDGE, TOP, heavier)
+        one
+        for heading in headings
+        for one in list_placements(BAR, wide, heading, EDGE, TOP, heavier)
     ]
     at_rim = replace(heavier, is_narrow=True)
     planned = next(
         one
         for heading in headings
-        for one in list_rests(BAR, wide, heading, EDGE, TOP, at_rim, surely=False)
+        for one in list_placements(BAR, wide, heading, EDGE, TOP, at_rim, is_robust=False)
     )
     middle = -EDGE.calc_beyond(transform(planned.pose, wide)).mean()
-    assert heavier.mass * GRAVITY * middle <= heavier.max_force * _calc_arm(planned)
+    assert heavier.mass * GRAVITY * middle <= heavier.max_force * _calc_lever_arm(planned)
     # What is safe does not depend on how heavy it is.
     assert planned.inside > TOP * np.tan(rules.max_tilt) + rules.pose_error
 
@@ -380,7 +382,7 @@ def _calc_farthest(planned, centers):
     return -EDGE.calc_beyond(transform(planned.pose, centers)).min()
 
 
-def _calc_arm(planned):
+def _calc_lever_arm(planned):
     """How far beyond the edge it is pressed, m."""
     return EDGE.calc_beyond(np.array(planned.target.place))
 
@@ -388,7 +390,7 @@ def _calc_arm(planned):
 @pytest.mark.slow
 def test_presses_that_tell_little_are_made_where_no_other_is_left():
     """As long as mass and center are not even roughly known."""
-    planner = WeighingPlanner(BAR, SURFACE)
+    planner = TiltTestPlanner(BAR, SURFACE)
     wide = make_model(BAR, np.diag([0.9, 0.018**2, 0.006**2, 0.1]))
     planner.weighing = replace(planner.weighing, min_gain=0.99)
     after = choose_press(wide, planner=planner)
@@ -407,9 +409,9 @@ def test_what_is_expected_to_be_left_open_is_what_the_estimate_leaves():
     belief = believe_before(found)
     c_W = transform(planned.pose, belief.center_of_mass[None])[0]
     place = np.array(planned.target.place)
-    arm = planned.target.calc_arm(place)
+    arm = planned.target.calc_lever_arm(place)
     force = 9.81 * belief.total_mass * -EDGE.calc_beyond(c_W) / arm
-    press = EdgePress(
+    press = TiltTest(
         planned.pose,
         place,
         force,
@@ -418,8 +420,8 @@ def test_what_is_expected_to_be_left_open_is_what_the_estimate_leaves():
         options.rules.force_std,
         free_way=FREE_WAY,
     )
-    after = weigh_model(found, WeighingLog((press,))).absolute
-    left = calc_left_open(belief, planned, options.rules, options)
+    after = estimate_masses(found, MassTestLog((press,))).absolute
+    left = calc_remaining_uncertainty(belief, planned, options.rules, options)
     trace = after.covariance[0, 0] / options.mass_std**2
     trace += np.trace(after.center_covariance) / options.center_std**2
     assert left == pytest.approx(trace, rel=0.02)
@@ -433,9 +435,9 @@ def test_the_sure_force_is_less_than_any_that_is_likely_and_grows_with_what_is_k
 
     def calc_force(planned):
         b = -float(EDGE.calc_beyond(transform(planned.pose, center[None])[0]))
-        return mass * GRAVITY * b / planned.target.calc_arm(np.array(planned.target.place))
+        return mass * GRAVITY * b / planned.target.calc_lever_arm(np.array(planned.target.place))
 
-    weighing = EdgePress(
+    weighing = TiltTest(
         first.pose,
         np.array(first.target.place),
         calc_force(first),
@@ -444,10 +446,10 @@ def test_the_sure_force_is_less_than_any_that_is_likely_and_grows_with_what_is_k
         force_std=0.05,
         free_way=FREE_WAY,
     )
-    known = weigh_model(found, WeighingLog((weighing,)))
+    known = estimate_masses(found, MassTestLog((weighing,)))
     rules = PressRules()
     before, after = (
-        with_sure_force(first, belief, rules).target.sure_force
+        with_no_tip_force(first, belief, rules).target.no_tip_force
         for belief in (believe_before(found), known.absolute)
     )
     # Pressed once more at the same place, the object tilts at the same force, near enough.
@@ -455,15 +457,15 @@ def test_the_sure_force_is_less_than_any_that_is_likely_and_grows_with_what_is_k
     # Wherever else it is pressed, it lies still up to that force.
     count = 0
     for heading in calc_headings(BAR, EDGE):
-        for planned in list_rests(BAR, CENTERS, float(heading), EDGE, TOP, rules):
-            sure = with_sure_force(planned, known.absolute, rules).target.sure_force
+        for planned in list_placements(BAR, CENTERS, float(heading), EDGE, TOP, rules):
+            sure = with_no_tip_force(planned, known.absolute, rules).target.no_tip_force
             assert 0 < sure < calc_force(planned)
             count += 1
     assert count > 50
 
 
 def test_presses_end_when_enough_is_known():
-    planner = WeighingPlanner(BAR, SURFACE)
+    planner = TiltTestPlanner(BAR, SURFACE)
     pokes = planner.options.min_pokes
     sure = make_model(BAR, np.diag([0.005**2, 0.0005**2, 0.0005**2, 0.1]))
     unsure = make_model(BAR, np.diag([0.9, 0.018**2, 0.006**2, 0.1]))
@@ -483,7 +485,7 @@ def test_a_planner_weighs_where_the_other_gives_up():
     model = replace(UncertainModel.of_identification(found), belief=belief)
     options = PreGraspOptions(max_pokes=0, min_pokes=0)
     plain = PreGraspPlanner(obj, surface, options)
-    weighing = WeighingPlanner(obj, surface, options)
+    weighing = TiltTestPlanner(obj, surface, options)
     inside = np.array([0.2, 0.0, 0.0])
     at_edge = np.array([0.4, 0.0, 0.0])
     for pose in (inside, at_edge):
@@ -494,7 +496,7 @@ def test_a_planner_weighs_where_the_other_gives_up():
     press = weighing.decide(at_edge, model)
     assert press.action == "weigh"
     place = np.array(press.press.place)
-    assert 0.02 <= press.press.calc_arm(place) <= 0.05
+    assert 0.02 <= press.press.calc_lever_arm(place) <= 0.05
     # An object that does not tilt is pressed where less force would do, or not at all.
     heavier = weighing
     for _ in range(8):
@@ -529,7 +531,7 @@ def test_a_planner_weighs_a_heavy_object_where_it_is_expected_to_tilt():
     surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
     obj = replace(BAR, prior=replace(BAR.prior, friction_min=0.1, friction_max=0.9))
     found = describe_prior(obj)
-    planner = WeighingPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
+    planner = TiltTestPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
     inside = np.array([0.2, 0.0, 0.0])
     before = believe_before(found)
     expected = {
@@ -546,7 +548,10 @@ def test_a_planner_weighs_a_heavy_object_where_it_is_expected_to_tilt():
             presses=1,
         )
         model = replace(UncertainModel.of_identification(found), belief=belief)
-        rests = [planner._list_rests(inside, model, belief, surely) for surely in (True, False)]
+        rests = [
+            planner._list_placements(inside, model, belief, is_robust)
+            for is_robust in (True, False)
+        ]
         assert (*map(bool, rests), planner.decide(inside, model).action) == outcome
 
 
@@ -571,7 +576,7 @@ def test_a_weighed_model_leaves_the_center_of_mass_where_it_was_weighed():
 
 def test_a_run_goes_on_where_another_one_ended():
     surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
-    planner = WeighingPlanner(BAR, surface, PreGraspOptions())
+    planner = TiltTestPlanner(BAR, surface, PreGraspOptions())
     loop = PreGraspLoop(planner, lambda *_: None)
     state = loop.begin().turn_to("weighing", "It is weighed.")
     before = LoopRun(state=state, identification=describe_prior(BAR))
@@ -582,7 +587,7 @@ def test_a_run_goes_on_where_another_one_ended():
 
 def make_press_loop():
     surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
-    loop = PreGraspLoop(WeighingPlanner(BAR, surface, PreGraspOptions()), lambda *_: None)
+    loop = PreGraspLoop(TiltTestPlanner(BAR, surface, PreGraspOptions()), lambda *_: None)
     state = replace(loop.begin(), press=TARGET, press_id=1, press_pose=(0.0, 0.0, 0.0))
     return loop, state.turn_to("weighing", "It is weighed.")
 
@@ -615,14 +620,14 @@ def test_a_loop_waits_for_a_press_and_looks_anew_after_it():
 
 def test_presses_that_weigh_nothing_suppose_a_heavier_object_and_end_at_last():
     loop, state = make_press_loop()
-    withstood = PressStatus(PressStep.IDLE, 1, PressOutcome.TOO_HEAVY, "it lay still", False)
+    no_tilt_count = PressStatus(PressStep.IDLE, 1, PressOutcome.TOO_HEAVY, "it lay still", False)
     factors = []
     for _ in range(loop.options.max_failed_presses):
         planner = loop._choose_planner(state)
         factors.append(planner._make_rules(believe_before(describe_prior(BAR))).mass)
-        state = watch(loop, state.turn_to("weighing", "Once more."), withstood)
+        state = watch(loop, state.turn_to("weighing", "Once more."), no_tilt_count)
         assert state.status.mode == "waiting"
-    np.testing.assert_allclose(np.diff(np.log(factors)), np.log(HEAVIER))
+    np.testing.assert_allclose(np.diff(np.log(factors)), np.log(MASS_INCREASE))
     assert state.status.presses == 0
     # From then on the loop goes on with what is known, as if the object could not be weighed.
     obj = replace(BAR, prior=replace(BAR.prior, friction_min=0.1, friction_max=0.9))
@@ -634,7 +639,7 @@ def test_presses_that_weigh_nothing_suppose_a_heavier_object_and_end_at_last():
     options = PreGraspOptions(min_pokes=0, max_pokes=0)
     at_edge = np.array([0.4, 0.0, 0.0])
     plain = PreGraspPlanner(obj, loop.planner.surface, options)
-    weighing = WeighingPlanner(obj, loop.planner.surface, options)
+    weighing = TiltTestPlanner(obj, loop.planner.surface, options)
     assert weighing.decide(at_edge, model).action == "weigh"
     stopped = PreGraspLoop(weighing, lambda *_: None)._choose_planner(state).decide(at_edge, model)
     expected = plain.decide(at_edge, model)
@@ -647,7 +652,7 @@ def test_presses_that_weigh_nothing_suppose_a_heavier_object_and_end_at_last():
 def test_near_a_corner_of_the_table_nothing_is_pressed():
     """There an object hangs over two edges, or its edge ends below it: it would tilt otherwise."""
     surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
-    planner = WeighingPlanner(BAR, surface, PreGraspOptions())
+    planner = TiltTestPlanner(BAR, surface, PreGraspOptions())
     (right,) = (edge for edge in list_edges(surface) if edge.line.normal[0] > 0.9)
     assert planner._hangs_over_only(right, np.array([0.4, 0.0, 0.0]))
     assert planner._hangs_over_only(right, np.array([0.4, 0.36, 0.0]))
@@ -670,7 +675,7 @@ def test_where_the_arm_cannot_press_nothing_is_planned():
         asked.append(target)
         return False
 
-    planner = WeighingPlanner(
+    planner = TiltTestPlanner(
         obj,
         surface,
         PreGraspOptions(max_pokes=0, min_pokes=0),
@@ -690,9 +695,9 @@ def test_slides_go_to_where_the_object_is_stable_before_other_places():
         believe_before(found), covariance=np.diag([0.9, 0.008**2, 0.01**2, 0.1]), presses=1
     )
     model = replace(UncertainModel.of_identification(found), belief=belief)
-    planner = WeighingPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
+    planner = TiltTestPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
     pose = np.array([0.0, 0.1, 1.96])
-    rests = planner._list_rests(pose, model, belief)
+    rests = planner._list_placements(pose, model, belief)
     goals = [one.goal for one in planner._choose_placements(rests)]
     assert len(goals) == 6
     for goal in goals:
@@ -712,8 +717,8 @@ def test_a_press_at_one_edge_is_the_same_at_any_other():
     centers = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
     here = Edge((0.0, 0.0), 0.0)
     there = Edge((0.3, -0.2), 2.0)
-    at_origin = list_rests(obj, centers, 0.4, here, 0.03)
-    expected = list_rests(obj, centers, 2.4, there, 0.03, along=0.07)
+    at_origin = list_placements(obj, centers, 0.4, here, 0.03)
+    expected = list_placements(obj, centers, 2.4, there, 0.03, along=0.07)
     # The grid of places is turned with the edge, so that the smallest overhangs may differ.
     by_overhang = {round(one.inside, 6): one for one in expected}
     pairs = [(one.move_to(there, 0.07), by_overhang.get(round(one.inside, 6))) for one in at_origin]
@@ -724,20 +729,20 @@ def test_a_press_at_one_edge_is_the_same_at_any_other():
         edge_point = np.array(moved.target.edge_point)
         np.testing.assert_allclose(edge_point, other.target.edge_point, atol=1e-12)
         assert moved.target.edge_angle == there.angle
-        arms = [each.target.calc_arm(np.array(each.target.place)) for each in (moved, other)]
+        arms = [each.target.calc_lever_arm(np.array(each.target.place)) for each in (moved, other)]
         assert arms[0] == pytest.approx(arms[1], abs=0.006)
 
 
 def test_weighings_that_contradict_each_other_are_not_planned_with():
     """Their center of mass is far off: it moves neither the model nor any region or margin."""
     found = describe_prior(BAR)
-    press = EdgePress(np.array([-0.05, 0, 0]), np.array([0.05, 0.0]), 8.0, np.zeros(2), 0.0, 0.05)
+    press = TiltTest(np.array([-0.05, 0, 0]), np.array([0.05, 0.0]), 8.0, np.zeros(2), 0.0, 0.05)
     turned = replace(press, pose=np.array([-0.05, 0.0, np.pi]), force=0.4)
     lifts = (
-        Lift(np.zeros(3), np.zeros(2), weight=4.0, torque=np.zeros(2)),
-        Lift(np.ones(3), np.ones(2), weight=12.0, torque=np.zeros(2)),
+        LiftTest(np.zeros(3), np.zeros(2), weight=4.0, torque=np.zeros(2)),
+        LiftTest(np.ones(3), np.ones(2), weight=12.0, torque=np.zeros(2)),
     )
-    weighed = weigh_model(found, WeighingLog((press, turned), lifts))
+    weighed = estimate_masses(found, MassTestLog((press, turned), lifts))
     assert weighed.absolute.contradictory and weighed.weighed is None
     np.testing.assert_array_equal(weighed.params.mass, found.params.mass)
     model = UncertainModel.of_identification(weighed)
@@ -754,7 +759,7 @@ def test_weighings_that_contradict_each_other_are_not_planned_with():
     np.testing.assert_array_equal(model.belief.covariance, before.belief.covariance)
     assert "contradict each other" in weighed.identifiability.statements[0]
     # But not for ever.
-    planner = WeighingPlanner(BAR, surface, PreGraspOptions())
+    planner = TiltTestPlanner(BAR, surface, PreGraspOptions())
     enough = replace(model, presses=planner.weighing.max_presses)
     pokes = planner.options.min_pokes
     assert planner.may_weigh(model, pokes, 0)

@@ -15,7 +15,7 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.identification.result import IdentificationStatus
-from gridpush_drake.identification.weighed_model import weigh_model
+from gridpush_drake.identification.tilt_tests.weighed_model import estimate_masses
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
@@ -25,12 +25,12 @@ from gridpush_drake.pushes.misplaced import explain_no_contact
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 from gridpush_drake.pushes.plausibility import (
     check_plausible,
-    check_plausible_weighings,
+    check_plausible_mass_tests,
     find_implausible,
-    find_implausible_weighings,
+    find_implausible_mass_tests,
 )
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
+from gridpush_drake.pushes.weighings import LiftTest, MassTestLog, TiltTest
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.shared_data import shared_data
 from tests.helpers.simulated_pushes import make_pushes
@@ -436,8 +436,8 @@ def block():
 REST = np.array([-0.04, 0.0, 0.0])
 """The block lies with its last 20 mm over an edge along y, at x = 0."""
 
-LEAN = EdgePress(REST, np.array([0.01, 0.0]), 10.0, np.zeros(2), 0.0)
-LIFTED = Lift(REST, np.array([-0.01, 0.0]), 8.0, np.array([0.0, -0.24]))
+LEAN = TiltTest(REST, np.array([0.01, 0.0]), 10.0, np.zeros(2), 0.0)
+LIFTED = LiftTest(REST, np.array([-0.01, 0.0]), 8.0, np.array([0.0, -0.24]))
 
 
 @pytest.mark.parametrize(
@@ -458,20 +458,20 @@ LIFTED = Lift(REST, np.array([-0.01, 0.0]), 8.0, np.array([0.0, -0.24]))
     ],
 )
 def test_weighings_that_cannot_be_true_are_refused(block, weighing, says) -> None:
-    is_press = isinstance(weighing, EdgePress)
-    log = WeighingLog(
+    is_press = isinstance(weighing, TiltTest)
+    log = MassTestLog(
         presses=(weighing,) if is_press else (), lifts=() if is_press else (weighing,)
     )
     with pytest.raises(PushLogError, match=re.escape(says)):
-        check_plausible_weighings(block, log)
+        check_plausible_mass_tests(block, log)
 
 
 def test_weighings_that_may_be_true_pass_without_a_word(block) -> None:
-    good = WeighingLog((LEAN, LEAN), (LIFTED, replace(LIFTED, torque=None, torque_std=1e-12)))
-    assert find_implausible_weighings(block, good) == []
+    good = MassTestLog((LEAN, LEAN), (LIFTED, replace(LIFTED, torque=None, torque_std=1e-12)))
+    assert find_implausible_mass_tests(block, good) == []
     degrees = replace(LEAN, edge_angle=360.0 * np.pi)
     with pytest.warns(PushLogWarning, match="edge_angle: in degrees"):
-        check_plausible_weighings(block, WeighingLog((degrees,)))
+        check_plausible_mass_tests(block, MassTestLog((degrees,)))
 
 
 def test_whatever_passes_has_an_estimate(block) -> None:
@@ -484,12 +484,12 @@ def test_whatever_passes_has_an_estimate(block) -> None:
         arm = 10.0 ** rng.uniform(-9, -1.7)
         press = replace(LEAN, force=force, force_std=std, place=np.array([arm, 0.0]))
         lift = replace(LIFTED, weight=10.0 ** rng.uniform(-6, 2), weight_std=std)
-        log = WeighingLog((press, press), (lift,))
-        if find_implausible_weighings(block, log):
+        log = MassTestLog((press, press), (lift,))
+        if find_implausible_mass_tests(block, log):
             continue
         used += 1
         try:
-            weighed = weigh_model(found, log)
+            weighed = estimate_masses(found, log)
         except IdentificationError as error:
             assert "no mass and center of mass are found" in str(error)
             continue

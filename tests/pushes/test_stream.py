@@ -127,10 +127,10 @@ def test_who_is_told_what_was_found_finds_it_again(script):
     samples = make_late(script, 0.147)
     found = choose_delay(samples, script.obj)
     assert found.found is not None and found.value == found.found.value
-    again = choose_delay(samples, script.obj, told=found.value, told_by="--pose-delay")
+    again = choose_delay(samples, script.obj, given=found.value, given_by="--pose-delay")
     assert again.found == found.found and not again.is_contradicted
     assert "and they are" in again.describe()
-    wrong = choose_delay(samples, script.obj, told=0.0, told_by="--pose-delay")
+    wrong = choose_delay(samples, script.obj, given=0.0, given_by="--pose-delay")
     assert wrong.value == 0.0 and wrong.is_contradicted and "but they are" in wrong.describe()
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import PushLogError, PushLogWarning
-from gridpush_drake.pushes.weighings import FORCE_STD, TORQUE_STD, EdgePress, Lift, WeighingLog
+from gridpush_drake.pushes.weighings import FORCE_STD, TORQUE_STD, LiftTest, MassTestLog, TiltTest
 from tests.helpers.weighed_objects import Truth, make_problem
 
 HEADER = "kind,object_x,object_y,object_theta,place_x,place_y,force,edge_x,edge_y,edge_angle"
@@ -29,7 +29,7 @@ def test_round_trip_bit_for_bit(tmp_path):
     rocked = replace(log.presses[0], center_shift=3e-4, free_way=0.0021, rock_force=1.7)
     log = replace(log, presses=(rocked, *log.presses[1:]))
     log.write_csv(tmp_path / "log.csv")
-    back = WeighingLog.read_csv(tmp_path / "log.csv")
+    back = MassTestLog.read_csv(tmp_path / "log.csv")
     assert (len(back.presses), len(back.lifts)) == (4, 1)
     for one, again in zip((*log.presses, *log.lifts), (*back.presses, *back.lifts), strict=True):
         for name in one.__dataclass_fields__:
@@ -39,7 +39,7 @@ def test_round_trip_bit_for_bit(tmp_path):
 
 
 def test_columns_that_are_not_there_have_defaults(write):
-    log = WeighingLog.read_csv(write(f"{HEADER}\n{PRESS}\n{LIFT}\n"))
+    log = MassTestLog.read_csv(write(f"{HEADER}\n{PRESS}\n{LIFT}\n"))
     (press,) = log.presses
     (lift,) = log.lifts
     assert press.force_std == lift.weight_std == FORCE_STD
@@ -75,7 +75,7 @@ def test_columns_that_are_not_there_have_defaults(write):
 def test_what_is_wrong_is_named(write, content, says):
     path = write(content)
     with pytest.raises(PushLogError) as caught:
-        WeighingLog.read_csv(path)
+        MassTestLog.read_csv(path)
     message = str(caught.value)
     assert message.startswith(str(path))
     assert says in message
@@ -84,17 +84,17 @@ def test_what_is_wrong_is_named(write, content, says):
 
 def test_further_columns_are_passed_over(write):
     with pytest.warns(PushLogWarning, match="passed over the column color"):
-        log = WeighingLog.read_csv(write(f"{HEADER},color\n{PRESS},red\n"))
+        log = MassTestLog.read_csv(write(f"{HEADER},color\n{PRESS},red\n"))
     assert len(log) == 1
 
 
 def test_records_are_frozen_and_checked():
-    press = EdgePress(np.zeros(3), np.array([0.1, 0]), 1.0, np.zeros(2), 0.0)
+    press = TiltTest(np.zeros(3), np.array([0.1, 0]), 1.0, np.zeros(2), 0.0)
     with pytest.raises(ValueError, match="read-only"):
         press.pose[0] = 1.0
     with pytest.raises(PushLogError, match="edge_angle is nan"):
-        EdgePress(np.zeros(3), np.array([0.1, 0]), 1.0, np.zeros(2), np.nan)
+        TiltTest(np.zeros(3), np.array([0.1, 0]), 1.0, np.zeros(2), np.nan)
     with pytest.raises(PushLogError, match="lift: torque is"):
-        Lift(np.zeros(3), np.zeros(2), 1.0, np.zeros(3))
+        LiftTest(np.zeros(3), np.zeros(2), 1.0, np.zeros(3))
     with pytest.raises(PushLogError, match="lift: weight is -1"):
-        Lift(np.zeros(3), np.zeros(2), -1.0)
+        LiftTest(np.zeros(3), np.zeros(2), -1.0)

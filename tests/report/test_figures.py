@@ -18,7 +18,7 @@ from shapely import Polygon
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.outliers import Outlier
+from gridpush_drake.identification.statistics.outliers import Outlier
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object

@@ -10,7 +10,7 @@ from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.report.page import make_report
-from gridpush_drake.report.progress import Expectation, calc_progress, draw_progress
+from gridpush_drake.report.progress import ExpectedUncertainty, calc_progress, draw_progress
 from tests.helpers.made_identifications import make_block
 from tests.helpers.simulated_pushes import make_pushes
 
@@ -51,7 +51,7 @@ def test_what_is_known_of_the_center_is_followed(run):
     off = estimates[-1].params.center_of_mass(obj) - truth.center_of_mass(obj)
     assert progress.center_error[-1] == pytest.approx(np.linalg.norm(off))
     assert not len(calc_progress(estimates, log).center_error)
-    (left, right) = draw_progress(progress, [Expectation(1, 0.02)]).axes
+    (left, right) = draw_progress(progress, [ExpectedUncertainty(1, 0.02)]).axes
     shown = [line.get_ydata() for line in left.lines]
     np.testing.assert_allclose(shown[0], progress.center_std * 1e3)
     np.testing.assert_allclose(shown[1], [20.0])
@@ -71,7 +71,7 @@ def test_the_report_sets_predictions_and_fits_apart_and_links_the_recording(run)
         estimates[-1],
         log[:3],
         progress=progress,
-        expectations=[Expectation(1, 0.02)],
+        expectations=[ExpectedUncertainty(1, 0.02)],
         recording="recording.html",
     )
     assert '<a href="recording.html">' in page

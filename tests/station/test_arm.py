@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.arm import ArmPosture, CalcStartPosture, MakeControlPlant
-from gridpush_drake.systems.messages import PushCommand
-from gridpush_drake.systems.pusher_state_sensor import ArmTipSensor
+from gridpush_drake.station.robot.arm import ArmPosture, CalcStartPosture, MakeControlPlant
+from gridpush_drake.systems.base.messages import PushCommand
+from gridpush_drake.systems.sensing.pusher_state_sensor import ArmTipSensor
 from tests.helpers.arm_bench import HOME, ROBOT, ArmBench, add_box
 
 ACCURACY = 1e-3  # m, of the tip's center at every time of a push

@@ -5,13 +5,13 @@ from math import cos, sin
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.campaign import calc_center_error
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
-from gridpush_drake.station.pregrasp_kind import PreGraspKind
-from gridpush_drake.station.pregrasp_task import PreGraspTask
-from gridpush_drake.station.task import TaskStatus
-from gridpush_drake.systems.messages import PreGraspMode, PushCommand, PushPhase
+from gridpush_drake.station.campaign.episodes import calc_center_error
+from gridpush_drake.station.tasks.pregrasp_kind import PreGraspKind
+from gridpush_drake.station.tasks.pregrasp_task import PreGraspTask
+from gridpush_drake.station.tasks.task import TaskStatus
+from gridpush_drake.systems.base.messages import PreGraspMode, PushCommand, PushPhase
 
 TIMEOUT = PreGraspLoopOptions().timeout
 """s."""

@@ -21,15 +21,19 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception import Camera
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import record_pushes
-from gridpush_drake.station import camera as station_camera
-from gridpush_drake.station.camera import calc_pose_age, make_camera
-from gridpush_drake.station.identify_task import IdentifyTask
-from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_camera import CameraConfig
-from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, read_scenario
-from gridpush_drake.station.task import TaskStatus
+from gridpush_drake.station.scene import camera as station_camera
+from gridpush_drake.station.scene.camera import calc_pose_age, make_camera
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.camera_config import CameraConfig
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import (
+    format_scenario,
+    parse_scenario,
+    read_scenario,
+)
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.station.tasks.identify_task import IdentifyTask
+from gridpush_drake.station.tasks.task import TaskStatus
 from tests.helpers.renderer import require_renderer
 from tests.helpers.shapes import make_shape
 

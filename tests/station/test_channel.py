@@ -36,7 +36,7 @@ from gridpush_drake.station.links.lcm.lcm_link import LcmLink
 from gridpush_drake.station.links.lcm.lcm_messages import GRIPPER_COMMAND
 from gridpush_drake.station.links.link import LinkRole, Unusable
 from gridpush_drake.station.links.record_forms import FORMS, find_form_fault, find_frame_fault
-from gridpush_drake.station.robot import find_robot, make_robot_directives
+from gridpush_drake.station.robot.robot import find_robot, make_robot_directives
 from gridpush_drake.systems.robot_records import (
     ArmCommand,
     ArmStatus,

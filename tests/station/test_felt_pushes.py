@@ -8,14 +8,14 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import EventStatus
 
 from gridpush_drake.dynamics.physics import GRAVITY, QUASI_STATIC
-from gridpush_drake.identification.force_scale import _calc_scales
+from gridpush_drake.identification.absolute.force_scale import _calc_scales
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.problem import TimedPush
-from gridpush_drake.station.pregrasp_kind import PreGraspKind
-from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scene import use_object
-from gridpush_drake.systems.messages import PressCommand, PushCommand
+from gridpush_drake.identification.statistics.problem import TimedPush
+from gridpush_drake.station.scene.contents import use_object
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.station.tasks.pregrasp_kind import PreGraspKind
+from gridpush_drake.systems.base.messages import PressCommand, PushCommand
 
 LATEST = 12.0
 """Time by which the push is over, s."""
@@ -24,14 +24,14 @@ LATEST = 12.0
 def make_station():
     """A toolbox of 1.2 kg, with frictions between 0.55 and 0.89."""
     scenario = PreGraspKind().make_scenario()
-    scenario.nothing_told = True
+    scenario.unknown_inertia = True
     scenario.truth.total_mass = [0.1, 3.0]
     scenario.truth.friction = [0.1, 0.9]
     scenario.truth.friction_by_part = True
     told = use_object(scenario, "toolbox")
     scenario.object_pose = [0.534, -0.091, 0.055]
     scenario.seed = 501
-    return MakePushStation(resolve(scenario, told=told), show_object=False)
+    return MakePushStation(resolve(scenario, known_object=told), show_object=False)
 
 
 @pytest.mark.slow

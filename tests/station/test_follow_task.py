@@ -7,16 +7,16 @@ from shapely import LineString, box
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.planning.feedback.follow_options import FollowStatus
 from gridpush_drake.planning.feedback.pose_path import PosePath
-from gridpush_drake.station.finger_region import MakeFingerRegion
-from gridpush_drake.station.follow_task import FollowRecord, FollowTask, calc_shown_age
-from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.robot import make_robot_directives
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.task import TaskStatus
-from gridpush_drake.station.tasks import TASKS
-from gridpush_drake.systems.follow_controller import FollowControlStatus, FollowMode
+from gridpush_drake.station.robot.robot import make_robot_directives
+from gridpush_drake.station.scene.finger_region import MakeFingerRegion
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import read_scenario
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.station.tasks.follow_task import FollowRecord, FollowTask, calc_shown_age
+from gridpush_drake.station.tasks.registry import TASK_KINDS
+from gridpush_drake.station.tasks.task import TaskStatus
+from gridpush_drake.systems.control.follow_controller import FollowControlStatus, FollowMode
 from tests.helpers.link_bench import LinkBench
 
 
@@ -37,7 +37,7 @@ def test_goes_through_the_slalom(robot):
     assert record.calc_rms() < 0.02
     # it wound through: beyond the posts on either side
     assert np.ptp(record.way[:, 0]) > 0.03
-    kind = TASKS["follow"]
+    kind = TASK_KINDS["follow"]
     summary = kind.summarize(record)
     assert summary["done"]
     assert "data:image/svg+xml" in kind.make_report(record)
@@ -143,7 +143,7 @@ def test_the_summary_and_the_words_tell_it():
     record.last = FollowControlStatus(FollowMode.FAILED, "It is stuck.", FollowStatus.STUCK, 2)
     record.message = "It is stuck."
     record.limit_report.touched.add(("body", "post_0"))
-    kind = TASKS["follow"]
+    kind = TASK_KINDS["follow"]
     summary = kind.summarize(record)
     assert summary["cause"] == "stuck"
     assert summary["path_rms"] == pytest.approx(0.003, abs=1e-4)

@@ -7,14 +7,14 @@ from pydrake.systems.analysis import Simulator
 from gridpush_drake.errors import StationError
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.multibody.parser import find_models
-from gridpush_drake.planning.pregrasp.side_grasp import choose_varied, find_side_grasps
+from gridpush_drake.planning.pregrasp.grasp.side_grasp import choose_varied, find_side_grasps
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.setting import make_style
-from gridpush_drake.systems.messages import GraspCommand, PushCommand
+from gridpush_drake.station.scene.setting import make_style
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import read_scenario
+from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.systems.base.messages import GraspCommand, PushCommand
 
 TRIED = 20  # of the best grasps, that the arm is asked about
 LIFT = 0.1

@@ -6,9 +6,8 @@ from pydrake.multibody.parsing import AddDirectives, ModelDirective
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.multibody.parser import find_models
-from gridpush_drake.planning.scene.separation import MARGIN
+from gridpush_drake.planning.scene.separation import WANTED_CLEARANCE
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
-from gridpush_drake.station.arm import ArmPosture
 from gridpush_drake.station.hardware.hardware_link import HardwareLink
 from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation, make_limits
 from gridpush_drake.station.links.lcm.lcm_address import open_lcm
@@ -19,12 +18,13 @@ from gridpush_drake.station.links.lcm.lcm_messages import (
     name_object_channel,
 )
 from gridpush_drake.station.links.link import ARM_PERIOD, LinkRole
-from gridpush_drake.station.robot import find_robot, make_robot_directives
-from gridpush_drake.station.scenario import PartTruth
-from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.scene_task import SeparateTask
-from gridpush_drake.systems.guard_status import GuardMode
-from gridpush_drake.systems.messages import GraspCommand, PushPhase
+from gridpush_drake.station.robot.arm import ArmPosture
+from gridpush_drake.station.robot.robot import find_robot, make_robot_directives
+from gridpush_drake.station.schema.scenario import PartTruth
+from gridpush_drake.station.schema.scenario_file import read_scenario
+from gridpush_drake.station.tasks.scene_task import SeparateTask
+from gridpush_drake.systems.base.messages import GraspCommand, PushPhase
+from gridpush_drake.systems.safety.guard_status import GuardMode
 from tests.helpers.twin_bench import TwinBench
 
 MIN_SPEED = 0.05
@@ -552,7 +552,7 @@ def test_objects_are_separated_over_lcm(bench_of_two):
     assert record.pushes >= 1 and len(record.scene_log) == record.pushes
     assert bench.link.report.events[-1][1] == "guard holding: the work is done"
     assert bench.link.report.left_out == {}
-    assert record.clearances.min() > MARGIN - 0.003
+    assert record.clearances.min() > WANTED_CLEARANCE - 0.003
     # the objects are truly where the robot saw them come to rest
     plant = bench.twin.world.plant
     poses = plant.get_body_poses_output_port().Eval(

@@ -12,10 +12,10 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.identify_task import IdentifyTask, PokeJudge
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.task import TaskStatus, Waiting
-from gridpush_drake.systems.messages import PushCommand, PushPhase, PushStatus
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.tasks.identify_task import IdentifyTask, PokeJudge
+from gridpush_drake.station.tasks.task import TaskStatus, Waiting
+from gridpush_drake.systems.base.messages import PushCommand, PushPhase, PushStatus
 
 
 def make_scenario(count=1, test_count=0, **fields):
@@ -85,7 +85,7 @@ def test_ends_when_the_object_leaves_the_table():
     experiment = IdentifyTask(make_scenario(2, object="open_book", object_pose=[0.6, 0.0, 0.0]))
     station = experiment.station
 
-    def shove(status, logged):
+    def disturb(status, logged):
         """Somebody throws it off the table during the second push."""
         if status.executed == 1 and status.phase == PushPhase.PUSHING:
             context = station.plant.GetMyMutableContextFromRoot(
@@ -95,7 +95,7 @@ def test_ends_when_the_object_leaves_the_table():
                 context, station.object_in_plant.body, _beside_table()
             )
 
-    record = experiment.run(progress=shove)
+    record = experiment.run(progress=disturb)
     assert record.status == TaskStatus.OBJECT_LOST
     assert "left the table during push 2" in record.message
     assert len(record.estimates) == 1

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from drake import lcmt_iiwa_command, lcmt_iiwa_status, lcmt_planar_manipuland_status
 
-from gridpush_drake.cli import robot as robot_command
+from gridpush_drake.cli.run import robot as robot_command
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
-from gridpush_drake.station.arm import ArmPosture
 from gridpush_drake.station.hardware import hardware_link
 from gridpush_drake.station.links.in_process import InProcessLink
 from gridpush_drake.station.links.lcm.lcm_messages import ARM_MESSAGES, OBJECT_STATUS
 from gridpush_drake.station.links.link import ARM_PERIOD
-from gridpush_drake.station.robot import find_robot
-from gridpush_drake.station.tasks import TASKS
-from gridpush_drake.systems import guard_status
-from gridpush_drake.systems.guard_status import GuardStatus, StopKind
-from gridpush_drake.systems.messages import PushPhase
+from gridpush_drake.station.robot.arm import ArmPosture
+from gridpush_drake.station.robot.robot import find_robot
+from gridpush_drake.station.tasks.registry import TASK_KINDS
+from gridpush_drake.systems.base.messages import PushPhase
+from gridpush_drake.systems.safety import guard_status
+from gridpush_drake.systems.safety.guard_status import GuardStatus, StopKind
 from tests.helpers.twin_bench import TwinBench
 
 ARM = ARM_MESSAGES["iiwa"]
@@ -330,7 +330,7 @@ def test_whatever_fails_the_arm_is_braked_and_what_was_done_is_written(
         bench.move()
     assert bench.find_stop(begun[0], NEAR) < STOPS_WITHIN
     # log, record and report, and an exit code that is not 0
-    task, scenario = TASKS["identify"], bench.task.station.scenario
+    task, scenario = TASK_KINDS["identify"], bench.task.station.scenario
     summary = robot_command._report(task, scenario, record, bench.link, tmp_path, False, False)
     assert summary["status"] == "stopped"
     assert says in capsys.readouterr().err.replace("\n", " ")

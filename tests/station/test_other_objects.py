@@ -10,15 +10,15 @@ from gridpush_drake import GridIdentifier, MakePushStation, PushCommand, PushSce
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
-from gridpush_drake.station.finger_region import MakeFingerRegion
-from gridpush_drake.station.identify_task import IdentifyTask
-from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.others import place_others
-from gridpush_drake.station.pregrasp_task import PreGraspTask
-from gridpush_drake.station.push_task import PushTask, make_rules
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.setting import make_surface
-from gridpush_drake.station.task import TaskStatus
+from gridpush_drake.station.scene.finger_region import MakeFingerRegion
+from gridpush_drake.station.scene.other_objects import place_others
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.scene.setting import make_surface
+from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
+from gridpush_drake.station.tasks.identify_task import IdentifyTask
+from gridpush_drake.station.tasks.pregrasp_task import PreGraspTask
+from gridpush_drake.station.tasks.push_task import PushTask, make_rules
+from gridpush_drake.station.tasks.task import TaskStatus
 from tests.helpers.renderer import require_renderer
 
 SCENARIO = """

@@ -6,13 +6,13 @@ from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
-from gridpush_drake.station.camera import make_camera
 from gridpush_drake.station.hardware.picture_tracker import PictureTracker
 from gridpush_drake.station.links.lcm.lcm_link import LcmLink
 from gridpush_drake.station.links.lcm.lcm_messages import ARM_MESSAGES, PICTURES
 from gridpush_drake.station.links.lcm.picture_messages import encode_frame
 from gridpush_drake.station.links.link import LinkRole
-from gridpush_drake.station.scene_task import SeparateTask
+from gridpush_drake.station.scene.camera import make_camera
+from gridpush_drake.station.tasks.scene_task import SeparateTask
 from tests.helpers.renderer import require_renderer
 from tests.helpers.twin_bench import CameraBench
 

@@ -8,14 +8,14 @@ from pydrake.systems.analysis import Simulator
 from gridpush_drake import MakePushStation, PushCommand, PushScenario
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
-from gridpush_drake.station.finger_region import MakeFingerRegion
-from gridpush_drake.station.identify_task import make_policy
-from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.posts import leave_out, place_posts
-from gridpush_drake.station.push_task import make_rules
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import PostConfig
-from gridpush_drake.station.setting import make_surface
+from gridpush_drake.station.scene.finger_region import MakeFingerRegion
+from gridpush_drake.station.scene.posts import leave_out, place_posts
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.scene.setting import make_surface
+from gridpush_drake.station.schema.scenario import PostConfig
+from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
+from gridpush_drake.station.tasks.identify_task import make_policy
+from gridpush_drake.station.tasks.push_task import make_rules
 
 POST = {"position": [0.7, 0.1], "radius": 0.03, "height": 0.05}
 

@@ -10,15 +10,15 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
-from gridpush_drake.planning.pregrasp.side_grasp import find_side_grasps
+from gridpush_drake.planning.pregrasp.grasp.side_grasp import find_side_grasps
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
-from gridpush_drake.station.pregrasp_kind import PreGraspKind
-from gridpush_drake.station.pregrasp_task import LIFTED_SHARE, PreGraspTask
-from gridpush_drake.station.robot import make_robot_directives
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.task import TaskStatus
-from gridpush_drake.systems.messages import PreGraspMode, PreGraspStatus
+from gridpush_drake.station.robot.robot import make_robot_directives
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import read_scenario
+from gridpush_drake.station.tasks.pregrasp_kind import PreGraspKind
+from gridpush_drake.station.tasks.pregrasp_task import LIFTED_FRACTION, PreGraspTask
+from gridpush_drake.station.tasks.task import TaskStatus
+from gridpush_drake.systems.base.messages import PreGraspMode, PreGraspStatus
 
 
 def test_a_scene_without_a_gripper_is_refused():
@@ -70,6 +70,6 @@ def test_a_panda_lifts_the_hammer_with_its_own_hand():
     task = PreGraspTask(scenario)
     record = task.run()
     assert record.status == TaskStatus.HELD, record.message
-    assert record.raised > LIFTED_SHARE * scenario.pregrasp.lift
+    assert record.raised > LIFTED_FRACTION * scenario.pregrasp.lift
     assert record.limit_report.ok, record.limit_report
     assert record.limit_report.tracking_error < 2.5e-3

@@ -12,29 +12,34 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import transform, wrap_angle
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.weighed_model import weigh_model
+from gridpush_drake.identification.tilt_tests.weighed_model import estimate_masses
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.weighing_planner import list_edges
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.planning.weighing.plan import PressRules, list_rests
+from gridpush_drake.planning.weighing.plan import PressRules, list_placements
 from gridpush_drake.planning.weighing.press import PressOutcome
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
+from gridpush_drake.pushes.weighings import LiftTest, MassTestLog, TiltTest
 from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation
-from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.pregrasp_kind import PreGraspKind
-from gridpush_drake.station.pregrasp_task import PreGraspRecord
-from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.robot import make_robot_directives
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import load_object
-from gridpush_drake.station.setting import make_surface
-from gridpush_drake.station.task import TaskStatus, TaskStep
-from gridpush_drake.station.task_kind import write_files
-from gridpush_drake.systems.messages import PreGraspMode, PreGraspStatus, PressCommand, PushCommand
-from gridpush_drake.systems.press_executor import MAX_MOVE
+from gridpush_drake.station.robot.robot import make_robot_directives
+from gridpush_drake.station.scene.contents import load_object
+from gridpush_drake.station.scene.setting import make_surface
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.station.tasks.pregrasp_kind import PreGraspKind
+from gridpush_drake.station.tasks.pregrasp_task import PreGraspRecord
+from gridpush_drake.station.tasks.task import TaskStatus, TaskStep
+from gridpush_drake.station.tasks.task_kind import write_files
+from gridpush_drake.systems.base.messages import (
+    PreGraspMode,
+    PreGraspStatus,
+    PressCommand,
+    PushCommand,
+)
+from gridpush_drake.systems.execution.press_executor import MAX_MOVE
 from tests.identification.simulated_pokes import make_pokes
 
 NEAR = np.array([0.5, 0.15])
@@ -43,7 +48,7 @@ NEAR = np.array([0.5, 0.15])
 
 def make_scenario(robot=None):
     scenario = PreGraspKind().make_scenario()
-    scenario.nothing_told = True
+    scenario.unknown_inertia = True
     if robot is not None:
         scenario.directives = make_robot_directives(robot, grasping=True)
     return scenario
@@ -63,7 +68,7 @@ class PressBench:
             tip_radius=station.robot.finger.tip_radius,
             max_force=24.0,
         )
-        rests = list_rests(
+        rests = list_placements(
             station.obj,
             centers,
             0.4,
@@ -170,7 +175,9 @@ def test_a_station_that_is_told_what_the_object_weighs_has_nothing_to_press_with
     station = MakePushStation(PreGraspKind().make_scenario())
     assert not station.HasInputPort("press_command")
     assert not station.HasOutputPort("weighing.log")
-    with pytest.raises(StationError, match=r"nothing is weighed; expected .* nothing_told: true"):
+    with pytest.raises(
+        StationError, match=r"nothing is weighed; expected .* unknown_inertia: true"
+    ):
         station.FindPressObstacle(PressCommand(1))
     assert station.obj.prior.total_mass == pytest.approx(0.68)
 
@@ -184,7 +191,7 @@ def test_nothing_is_told_but_the_outline():
 
 
 def test_the_hidden_mass_may_be_drawn_from_a_range():
-    scenario = PushScenario(nothing_told=True)
+    scenario = PushScenario(unknown_inertia=True)
     scenario.truth.total_mass = [0.1, 3.0]
     station = MakePushStation(scenario)
     context = station.CreateDefaultContext()
@@ -226,9 +233,9 @@ def weighed(tmp_path_factory):
     path = tmp_path_factory.mktemp("weighed") / "pushes.csv"
     log.write_csv(path)
     log = PushLog.read_csv(path)
-    press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 5.0, np.array([0.05, 0.0]), 0.0)
-    lift = Lift(np.zeros(3), np.array([0.0, 0.1]), 6.9, np.array([0.7, 0.0]))
-    weighings = WeighingLog((press,), (lift,))
+    press = TiltTest(np.zeros(3), np.array([0.1, 0.0]), 5.0, np.array([0.05, 0.0]), 0.0)
+    lift = LiftTest(np.zeros(3), np.array([0.0, 0.1]), 6.9, np.array([0.7, 0.0]))
+    weighings = MassTestLog((press,), (lift,))
     pushed = identify(Model(obj), log, regime="quasi_static")
     status = PreGraspStatus(PreGraspMode.HOLDING, "The object is lifted and held.", presses=1)
     record = PreGraspRecord(
@@ -237,7 +244,7 @@ def weighed(tmp_path_factory):
         surface=SupportSurface.rectangle((0.0, 0.0), (0.8, 0.8)),
         last=status,
         log=log,
-        estimates=[pushed, weigh_model(pushed, weighings)],
+        estimates=[pushed, estimate_masses(pushed, weighings)],
         weighings=weighings,
         status=TaskStatus.HELD,
         message="The object was lifted and held.",
@@ -294,10 +301,10 @@ def test_the_files_of_a_weighed_run_make_the_same_model_again(weighed, tmp_path)
     written = write_files(PreGraspKind(), tmp_path, scenario, record, None, force=False)
     assert tmp_path / "weighings.csv" in written
     assert "truly 0.700 kg" in (tmp_path / "report.html").read_text()
-    read = WeighingLog.read_csv(tmp_path / "weighings.csv")
+    read = MassTestLog.read_csv(tmp_path / "weighings.csv")
     assert [lift.weight for lift in read.lifts] == [6.9]
     obj = GridObject.from_yaml(tmp_path / "object.yaml")
     assert obj.prior.total_mass is None
     again = identify(Model(obj), PushLog.read_csv(tmp_path / "pushes.csv"), regime="quasi_static")
-    absolute = weigh_model(again, read).absolute
+    absolute = estimate_masses(again, read).absolute
     np.testing.assert_array_equal(absolute.mean, record.estimates[-1].absolute.mean)

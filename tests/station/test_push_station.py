@@ -10,13 +10,13 @@ from pydrake.systems.framework import Context, DiagramBuilder, System
 
 from gridpush_drake.display.server import StartMeshcatServer
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS
-from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.robot_control import ESTIMATE_OUTPUTS
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import MakeTruth
-from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.station.control.robot_control import ESTIMATE_OUTPUTS
+from gridpush_drake.station.robot.arm_driver import DRIVER_OUTPUTS
+from gridpush_drake.station.scene.contents import MakeTruth
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.systems.base.messages import PushCommand
 
 
 def advance_until_idle(simulator, station, command, limit=15.0):

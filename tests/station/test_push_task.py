@@ -6,9 +6,9 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.station.push_task import PushTask
-from gridpush_drake.station.scenario import PostConfig, PushScenario
-from gridpush_drake.station.task import TaskStatus
+from gridpush_drake.station.schema.scenario import PostConfig, PushScenario
+from gridpush_drake.station.tasks.push_task import PushTask
+from gridpush_drake.station.tasks.task import TaskStatus
 
 
 def make_scenario(**fields) -> PushScenario:
@@ -61,11 +61,11 @@ def test_pushes_on_from_where_somebody_put_the_object():
 def test_ends_when_the_object_falls_and_when_nobody_waits():
     task = PushTask(make_scenario())
 
-    def shove(status, logged):
+    def disturb(status, logged):
         if status.phase == "pushing":
             put(task, (0.6, 1.5, 0.0))
 
-    record = task.run(progress=shove)
+    record = task.run(progress=disturb)
     assert record.status == TaskStatus.LOST and "left the table during push 1" in record.message
     assert np.isnan(record.pose).all()
 

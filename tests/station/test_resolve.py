@@ -6,13 +6,13 @@ import pytest
 
 from gridpush_drake import files
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.station import resolve as resolving
-from gridpush_drake.station import station_plant
-from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.task import StationTask
+from gridpush_drake.station.scene import resolve as resolving
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import read_scenario
+from gridpush_drake.station.simulated import plant as station_plant
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.station.tasks.task import StationTask
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.renderer import require_renderer
 

@@ -12,19 +12,24 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.multibody.parser import find_models
-from gridpush_drake.planning.pregrasp.gripper import Gripper
+from gridpush_drake.planning.pregrasp.grasp.gripper import Gripper
 from gridpush_drake.station import IdentifyTask, TaskStatus
-from gridpush_drake.station.arm import ArmPosture, ArmReach, CalcStartPosture, MakeControlPlant
-from gridpush_drake.station.finger_region import STEER_INSET, MakeRing
-from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.robot import find_robot, make_robot_directives
-from gridpush_drake.station.robot_measures import FingerMeasures, GripperMeasures, read_measures
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.scene import CalcTipReach
-from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.station.robot.arm import (
+    ArmPosture,
+    ArmReach,
+    CalcStartPosture,
+    MakeControlPlant,
+)
+from gridpush_drake.station.robot.measures import FingerMeasures, GripperMeasures, read_measures
+from gridpush_drake.station.robot.robot import find_robot, make_robot_directives
+from gridpush_drake.station.scene.contents import CalcTipReach
+from gridpush_drake.station.scene.finger_region import STEER_INSET, MakeRing
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import read_scenario
+from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.systems.base.messages import PushCommand
 from tests.helpers.twin_bench import TwinBench
 
 BASE = (0.05, -0.02, 0.08)
@@ -130,7 +135,7 @@ def test_a_robot_that_comes_with_the_package_pushes_within_its_limits(name):
     assert station.GetOutputPort("object.pose_true").Eval(context)[1] > 0.01
     seen = monitor.limit_report
     assert seen.ok
-    assert min(seen.position_share, seen.velocity_share, seen.torque_share) > 0.05
+    assert min(seen.position_fraction, seen.velocity_fraction, seen.torque_share) > 0.05
     assert seen.tracking_error < 2e-3
     arm = station.robot.arm_model
     assert station.GetOutputPort(f"{arm}.position_commanded").Eval(context) == pytest.approx(

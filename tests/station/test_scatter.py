@@ -7,9 +7,9 @@ import shapely
 from gridpush_drake import PushScenario, read_scenario
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import transform_shape
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scatter import GAP, INSIDE, scatter_objects
-from gridpush_drake.station.scenario import PostConfig
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.scene.scatter import MIN_EDGE_DISTANCE, MIN_OBJECT_GAP, scatter_objects
+from gridpush_drake.station.schema.scenario import PostConfig
 
 
 def list_poses(scenario):
@@ -39,8 +39,8 @@ def test_objects_lie_beside_each_other_elsewhere_with_every_seed(scene):
             for pose, each in zip(poses, (obj, *others), strict=True)
         ]
         apart = [a.distance(b) for k, a in enumerate(outlines) for b in [*outlines[:k], post]]
-        assert min(apart) >= GAP
-        assert all(table.buffer(1e-9 - INSIDE).covers(outline) for outline in outlines)
+        assert min(apart) >= MIN_OBJECT_GAP
+        assert all(table.buffer(1e-9 - MIN_EDGE_DISTANCE).covers(outline) for outline in outlines)
         drawn.append(poses)
         # the same seed draws the same again, and what is drawn stays where it lies
         again = scatter_objects(scenario, obj, others, table)

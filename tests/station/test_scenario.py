@@ -21,17 +21,18 @@ from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.robot import find_robot
-from gridpush_drake.station.scenario import PartTruth, PushScenario, TruthConfig
-from gridpush_drake.station.scenario_file import (
+from gridpush_drake.station.robot.robot import find_robot
+from gridpush_drake.station.scene.contents import AddScene, load_object
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PartTruth, PushScenario, TruthConfig
+from gridpush_drake.station.schema.scenario_file import (
     find_scenario,
     format_scenario,
     list_shipped_scenarios,
+    parse_scenario,
     read_scenario,
     write_scenario,
 )
-from gridpush_drake.station.scene import AddScene, load_object
 from tests.helpers.shapes import rectangle
 
 ROUND = "package://gridpush_drake/scenes/iiwa_push_round.dmd.yaml"
@@ -523,3 +524,10 @@ def test_one_friction_range_from_the_scenario_to_the_model(tmp_path):
     assert "friction coefficients anywhere from 0.3 to 0.4" in " ".join(
         model.identifiability.statements
     )
+
+
+def test_a_key_by_its_old_name_is_read():
+    path = Path("old.yaml")
+    assert parse_scenario(path, "nothing_told: true\n").unknown_inertia
+    with pytest.raises(ScenarioError, match="nothing_told and unknown_inertia are both given"):
+        parse_scenario(path, "nothing_told: true\nunknown_inertia: true\n")

@@ -18,29 +18,33 @@ from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.planning.scene.joint_loop import SceneMode, SceneStatus
 from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision, SceneLearning
-from gridpush_drake.planning.scene.separation import MARGIN
+from gridpush_drake.planning.scene.separation import WANTED_CLEARANCE
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.others import draw_other_truth
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.run_recorder import RunRecorder
-from gridpush_drake.station.run_recording import read_run
-from gridpush_drake.station.scenario import PostConfig
-from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, write_scenario
-from gridpush_drake.station.scene import load_object, load_others, use_object
-from gridpush_drake.station.scene_camera import guess_ambiguous
-from gridpush_drake.station.scene_kinds import list_rest_poses
-from gridpush_drake.station.scene_task import (
+from gridpush_drake.station.recording.run_recorder import RunRecorder
+from gridpush_drake.station.recording.run_recording import read_run
+from gridpush_drake.station.scene.contents import load_object, load_others, use_object
+from gridpush_drake.station.scene.other_objects import draw_other_truth
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.scene.scene_camera import guess_ambiguous
+from gridpush_drake.station.schema.scenario import PostConfig
+from gridpush_drake.station.schema.scenario_file import (
+    format_scenario,
+    parse_scenario,
+    write_scenario,
+)
+from gridpush_drake.station.tasks.registry import TASK_KINDS, TaskName
+from gridpush_drake.station.tasks.scene_kinds import list_rest_poses
+from gridpush_drake.station.tasks.scene_task import (
     FetchTask,
     RearrangeTask,
     SeparateTask,
     make_goals,
     name_objects,
 )
-from gridpush_drake.station.task import TaskStatus, TaskStep
-from gridpush_drake.station.task_kind import write_files
-from gridpush_drake.station.tasks import TASKS, TaskName
-from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.station.tasks.task import TaskStatus, TaskStep
+from gridpush_drake.station.tasks.task_kind import write_files
+from gridpush_drake.systems.base.messages import PushCommand
 from tests.helpers.renderer import require_renderer
 
 NAMES = ("separate", "rearrange", "fetch")
@@ -173,7 +177,7 @@ def test_objects_in_each_other_are_both_named(tmp_path):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_shipped_scenario_of_each_task_makes_sense(name):
     assert set(NAMES) < set(TaskName)
-    scenario = TASKS[name].make_scenario()
+    scenario = TASK_KINDS[name].make_scenario()
     assert scenario.others and scenario.camera.kind == "ideal"
     resolve(scenario)
 
@@ -221,15 +225,15 @@ def test_a_goal_that_is_nowhere_told_is_not_made_up(tmp_path):
     with pytest.raises(
         ScenarioError, match=r"objects\[1\].goal: missing; expected \[x, y, theta\]"
     ):
-        TASKS["rearrange"].check(resolve(read(tmp_path, text)))
+        TASK_KINDS["rearrange"].check(resolve(read(tmp_path, text)))
     scenario = read(tmp_path, text + "goal: {pose: [0.62, -0.2, 0.3]}\n")
-    TASKS["rearrange"].check(resolve(scenario))
+    TASK_KINDS["rearrange"].check(resolve(scenario))
 
 
 def test_all_that_does_not_suit_a_task_is_told_at_once():
     scenario = PushScenario(base="planar")
     with pytest.raises(ScenarioError) as told:
-        TASKS["fetch"].check(resolve(scenario, "cell.yaml"), ["--object: missing"])
+        TASK_KINDS["fetch"].check(resolve(scenario, "cell.yaml"), ["--object: missing"])
     message = str(told.value)
     assert message.startswith("cell.yaml: others: empty") and message.count("Also: ") == 3
     assert "base is planar" in message and "no model gripper" in message
@@ -248,14 +252,14 @@ def make_record(task, name):
     record.last = replace(status, mode=SceneMode.DONE, pushes=1)
     record.scene_log = (seen,)
     record.poses = moved
-    record.status = TASKS[name].done
+    record.status = TASK_KINDS[name].done
     record.message = "Every object is where it should be."
     return record
 
 
 @pytest.mark.parametrize("name", ["separate", "rearrange"])
 def test_a_run_is_summarized_and_reported(name, tmp_path):
-    kind = TASKS[name]
+    kind = TASK_KINDS[name]
     task = kind.station(kind.make_scenario())
     task.begin(0)
     assert task.names[0] == "claw hammer" and len(task.objects) == len(task.names)
@@ -295,7 +299,7 @@ def learn_one_push(task, record):
 def test_what_was_learned_of_each_object_is_drawn_recorded_and_written(tmp_path):
     """The colors in Meshcat are those of the models that the folder holds, and no object is gray."""
     pytest.importorskip("rosbags")
-    kind = TASKS["separate"]
+    kind = TASK_KINDS["separate"]
     scenario = kind.make_scenario()
     meshcat = StartMeshcatServer(0)
     task = SeparateTask(scenario, meshcat)
@@ -370,7 +374,7 @@ def test_objects_of_one_name_are_told_apart():
 def test_objects_are_separated_by_the_robot():
     record = SeparateTask(read_scenario("separate")).run()
     assert record.status == TaskStatus.REACHED, record.message
-    assert record.clearances.min() > MARGIN - 0.003
+    assert record.clearances.min() > WANTED_CLEARANCE - 0.003
     assert record.limit_report.ok, record.limit_report
     assert len(record.scene_log) == record.pushes >= 1
 
@@ -400,9 +404,9 @@ def test_objects_that_touch_are_found_in_the_first_picture_and_told_apart():
         assert np.hypot(*(seen - true)[:2]) < 1e-3, name
         assert abs(wrap_angle(seen[2] - true[2])) < np.radians(0.5), name
         assert np.abs(seen - true).max() > 0  # a picture has noise
-    sight = station.FindSceneSight(context)
+    sight = station.FindSceneView(context)
     assert sight.errors.shape == (1, len(names), 3) and sight.seen.all()
-    assert station.FindSight(context) is None
+    assert station.FindCameraView(context) is None
 
     # while one of them is not seen, the executor takes up no push
     station.CoverCamera(context)
@@ -445,7 +449,7 @@ def test_what_the_camera_does_not_find_ends_the_task_with_its_message():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_task_is_done_by_what_a_color_and_depth_camera_shows(name):
-    kind = TASKS[name]
+    kind = TASK_KINDS[name]
     task = kind.station(make_rgbd(name))
     record = task.run()
     assert record.status == kind.done, record.message
@@ -469,7 +473,7 @@ def test_objects_are_separated_beside_a_post_by_the_robot():
 def test_objects_are_rearranged_by_the_robot():
     record = RearrangeTask(read_scenario("rearrange")).run()
     assert record.status == TaskStatus.REACHED, record.message
-    off = TASKS["rearrange"].measure(record, record.poses[None])[0]
+    off = TASK_KINDS["rearrange"].measure(record, record.poses[None])[0]
     assert off.max() < 0.022
     assert record.limit_report.ok, record.limit_report
 

@@ -9,8 +9,8 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.world import PushWorld
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.world import StationWorld
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.simulated.world import StationWorld
 
 
 @pytest.fixture(scope="module")

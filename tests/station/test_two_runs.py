@@ -13,14 +13,14 @@ from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose, SetGridObjectVelocity
 from gridpush_drake.multibody.parser import find_models
-from gridpush_drake.station.identify_task import IdentifyTask
-from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.pregrasp_task import PreGraspTask
-from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.scene import MakeTruth
-from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.station.scene.contents import MakeTruth
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import read_scenario
+from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.station.tasks.identify_task import IdentifyTask
+from gridpush_drake.station.tasks.pregrasp_task import PreGraspTask
+from gridpush_drake.systems.base.messages import PushCommand
 
 RUNS = ((1, (0.55, 0.05, 0.3), 0.6), (2, (0.6, -0.05, -0.5), 0.4))
 """Seed, where the object begins, and how fast it slides along x then, m/s: friction and masses tell

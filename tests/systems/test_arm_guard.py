@@ -9,24 +9,18 @@ from hypothesis import strategies as st
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.systems.arm_guard import (
-    CONFIRM_TIME,
-    ArmGuard,
-)
-from gridpush_drake.systems.guard_retreat import (
-    RETREAT_SPEED_SHARE,
-    RETREAT_TIP_SPEED,
-)
-from gridpush_drake.systems.guard_status import (
+from gridpush_drake.systems.base.messages import GraspPhase, GraspStatus
+from gridpush_drake.systems.safety.arm_guard import CONFIRM_TIME, ArmGuard
+from gridpush_drake.systems.safety.guard_retreat import RETREAT_SPEED_FRACTION, RETREAT_TIP_SPEED
+from gridpush_drake.systems.safety.guard_status import (
     BY_SILENCE,
     BY_USER,
-    DONE,
+    RETREAT_DONE,
     GuardLimits,
     GuardMode,
     StopKind,
 )
-from gridpush_drake.systems.messages import GraspPhase, GraspStatus
-from gridpush_drake.systems.object_watch import ObjectWatch
+from gridpush_drake.systems.sensing.object_watch import ObjectWatch
 
 PERIOD = 0.005
 LIMITS = GuardLimits(
@@ -276,7 +270,9 @@ def test_what_is_wrong_in_the_period_in_which_it_begins_to_follow_stops_the_arm(
     np.testing.assert_array_equal(np.array(bench.positions), np.tile(BEGIN, (41, 1)))
 
 
-@pytest.mark.parametrize(("stop", "kind"), [(BY_USER, StopKind.USER), (DONE, StopKind.DONE)])
+@pytest.mark.parametrize(
+    ("stop", "kind"), [(BY_USER, StopKind.USER), (RETREAT_DONE, StopKind.DONE)]
+)
 def test_a_stop_while_it_waits_for_the_robot_is_kept(stop, kind):
     bench = Bench()
     status = bench.step(position_measured=[np.nan, np.nan], stop=[stop])
@@ -368,7 +364,7 @@ def test_a_force_on_the_tip_stops_the_arm_and_takes_it_back_slowly():
     braked = check_stop(bench.positions, stopped, retreats=True)
     assert measure_travel(bench.positions[braked:]) == pytest.approx(LIMITS.retreat, rel=1e-3)
     back = np.diff(bench.positions[braked:], axis=0) / PERIOD
-    assert (np.abs(back) <= RETREAT_SPEED_SHARE * LIMITS.speed + 1e-9).all()
+    assert (np.abs(back) <= RETREAT_SPEED_FRACTION * LIMITS.speed + 1e-9).all()
     tips = np.array([calc_tip(q) for q in bench.positions[braked:]])
     assert np.linalg.norm(np.diff(tips, axis=0), axis=1).max() < 1.2 * RETREAT_TIP_SPEED * PERIOD
     assert bench.time - begun > LIMITS.retreat / RETREAT_TIP_SPEED
@@ -448,7 +444,7 @@ def test_a_torque_that_falls_slowly_is_not_a_further_one():
 def test_what_goes_wrong_while_it_is_held_is_told_and_moves_nothing():
     bench = Bench()
     bench.follow_ramp()
-    bench.step(stop=[DONE])
+    bench.step(stop=[RETREAT_DONE])
     assert bench.rest().mode == GuardMode.HOLDING
     assert not bench.status.failed
     held = bench.positions[-1]
@@ -797,7 +793,7 @@ class Story:
         elif name == "desired jumps":
             told["position_desired"] = told["position_desired"] + size
         elif name in ("user", "done", "by silence"):
-            told["stop"] = [{"user": BY_USER, "done": DONE, "by silence": BY_SILENCE}[name]]
+            told["stop"] = [{"user": BY_USER, "done": RETREAT_DONE, "by silence": BY_SILENCE}[name]]
         elif name == "tip away":
             told["pusher_state"] = [2.0, 0.0, 0.1, 0.0, 0.0, 0.0]
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridpush_drake.systems.arm_path import ArmPath, brake, calc_stop_distance, follow
+from gridpush_drake.systems.safety.arm_path import ArmPath, brake, calc_stop_distance, follow
 
 PERIOD = 0.005
 SPEED, ACCELERATION = np.array([1.0, 2.0]), np.array([10.0, 5.0])

@@ -2,11 +2,9 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.systems.command_ramp import CommandRamp
-from gridpush_drake.systems.guard_status import (
-    GuardMode,
-)
 from gridpush_drake.systems.robot_records import ArmCommand
+from gridpush_drake.systems.safety.command_ramp import CommandRamp
+from gridpush_drake.systems.safety.guard_status import GuardMode
 
 PERIOD = 0.005
 SPEED, ACCELERATION = np.array([1.0, 2.0]), np.array([10.0, 5.0])

@@ -18,8 +18,8 @@ from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_erro
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.systems.contact_point_controller import ContactPointController
-from gridpush_drake.systems.messages import ContactPointMode, PushCommand, PushStatus
+from gridpush_drake.systems.base.messages import ContactPointMode, PushCommand, PushStatus
+from gridpush_drake.systems.control.contact_point_controller import ContactPointController
 from tests.helpers.goal_diagram import make_run
 from tests.helpers.made_identifications import make_block
 

@@ -20,8 +20,8 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.robot_status import PushPhase, PushStatus
-from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer, ShownObject
-from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.systems.base.messages import PushCommand
+from gridpush_drake.systems.learning.estimate_visualizer import EstimateVisualizer, ShownObject
 from tests.helpers.chromium import find_pixels, freeze_recording, require_chromium, take_picture
 from tests.helpers.made_identifications import make_block
 

@@ -15,8 +15,8 @@ from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.perception.pose_prediction import PushModel
-from gridpush_drake.perception.tracking import PoseTracker
+from gridpush_drake.perception.tracking.pose_prediction import PushModel
+from gridpush_drake.perception.tracking.tracking import PoseTracker
 from gridpush_drake.systems import ObjectPoseEstimator
 from tests.helpers.hidden_pictures import ARM, HEIGHT, PERIOD, ROWS, WIDTH, HiddenPictures
 from tests.helpers.pictures import make_camera
@@ -58,7 +58,7 @@ def run(model: PushModel | None, estimate: CellParameters | None = None):
             ROWS,
             period=PERIOD,
             guess=START,
-            hidden_by=[ARM],
+            occluded_by=[ARM],
             model=model,
         )
     )

@@ -10,7 +10,7 @@ from gridpush_drake.geometry.se2 import transform, wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback import FeedbackFinger, FollowOptions, FollowStatus, PosePath
-from gridpush_drake.planning.feedback.pose_path import ObjectWay
+from gridpush_drake.planning.feedback.pose_path import PathProgress
 from gridpush_drake.systems import FeedbackPushController, GridLcpSystem
 from tests.helpers.made_identifications import make_block, make_identification
 
@@ -152,11 +152,11 @@ def test_follows_a_path_at_its_speed():
     poses = []
     status = run.go_on(20.0, poses.append)
     assert status.mode == FollowStatus.REACHED, status
-    off = ObjectWay(OBJ, path).measure_distance(
+    off = PathProgress(OBJ, path).measure_distance(
         transform(np.array(poses), OBJ.p_BC.mean(axis=0)[None])[:, 0]
     )
     assert np.sqrt((off**2).mean()) < 3e-3
-    assert status.progress == pytest.approx(ObjectWay(OBJ, path).length, abs=3e-3)
+    assert status.progress == pytest.approx(PathProgress(OBJ, path).length, abs=3e-3)
 
 
 def test_a_clone_goes_on_alike():

@@ -19,14 +19,18 @@ from gridpush_drake.planning.feedback import (
     FollowStatus,
     LcpFingerWorld,
     PosePath,
-    Sight,
+    PoseSensorModel,
 )
 from gridpush_drake.planning.feedback.follow_calculations import FollowRules, find_places
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.systems.follow_controller import MAX_BLIND_TIME, FollowController, FollowMode
-from gridpush_drake.systems.messages import PushStatus, SteerCommand, SteerPhase, SteerStatus
+from gridpush_drake.systems.base.messages import PushStatus, SteerCommand, SteerPhase, SteerStatus
+from gridpush_drake.systems.control.follow_controller import (
+    MAX_BLIND_TIME,
+    FollowController,
+    FollowMode,
+)
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.made_logs import make_pushed_block
 
@@ -47,7 +51,7 @@ RULES = FollowRules(
     pose_delay=0.0,
     seed=1,
 )
-SIGHT = Sight(period=0.02, delay=0.0, missing=0.0, position_std=0.0003, angle_std=0.002)
+SIGHT = PoseSensorModel(period=0.02, delay=0.0, missing=0.0, position_std=0.0003, angle_std=0.002)
 
 
 class Run:

@@ -12,15 +12,19 @@ from gridpush_drake.multibody.tool_motion import (
     calc_tool_pose,
     make_transform,
 )
-from gridpush_drake.planning.pregrasp.gripper import Gripper
-from gridpush_drake.systems.grasp_executor import GraspExecutor
-from gridpush_drake.systems.grasp_trajectory import GraspTrajectoryOptions, calc_tip, calc_yaws
-from gridpush_drake.systems.messages import (
+from gridpush_drake.planning.pregrasp.grasp.gripper import Gripper
+from gridpush_drake.systems.base.messages import (
     GraspCommand,
     GraspPhase,
     GraspStatus,
     PushPhase,
     PushStatus,
+)
+from gridpush_drake.systems.execution.grasp_executor import GraspExecutor
+from gridpush_drake.systems.execution.grasp_trajectory import (
+    GraspTrajectoryOptions,
+    calc_tip,
+    calc_yaws,
 )
 
 REST = (0.5, -0.1, 0.12, 0.0)

@@ -11,16 +11,16 @@ from gridpush_drake.errors import IdentificationError, SimulationError
 from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
-from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.weighed_learning import learn_with_weighings
-from gridpush_drake.identification.weighed_model import weigh_model
+from gridpush_drake.identification.statistics.problem import PushProblem
+from gridpush_drake.identification.tilt_tests.weighed_learning import learn_with_mass_tests
+from gridpush_drake.identification.tilt_tests.weighed_model import estimate_masses
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.exploration import RandomPokeOptions
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
-from gridpush_drake.systems import grid_identifier
-from gridpush_drake.systems.grid_identifier import GridIdentifier, IdentifierState
+from gridpush_drake.pushes.weighings import LiftTest, MassTestLog, TiltTest
+from gridpush_drake.systems.learning import grid_identifier
+from gridpush_drake.systems.learning.grid_identifier import GridIdentifier, IdentifierState
 from tests.helpers.poke_diagram import PokeDiagram, make_poke_diagram
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
@@ -137,26 +137,26 @@ def test_log_holds_what_was_to_be_seen(cold):
 
 
 def test_weighings_and_forces_make_the_estimate_absolute(cold):
-    """As `weigh_model` does of what was learned from the pushes alone; older weighings are kept."""
+    """As `estimate_masses` does of what was learned from the pushes alone; older weighings are kept."""
     obj = cold.parts.identifier.obj
     log = cold.eval("push_log")
     pushed = identify(Model(obj), log, seed=1)
-    press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
-    lift = Lift(np.zeros(3), np.array([0.0, 0.1]), 6.0)
+    press = TiltTest(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
+    lift = LiftTest(np.zeros(3), np.array([0.0, 0.1]), 6.0)
     system = GridIdentifier(obj, seed=1)
     state = replace(
         IdentifierState(), log=log, estimate=grid_identifier._make_estimate(pushed, log)
     )
-    for weighings in (WeighingLog((press,)), WeighingLog((press,), (lift,))):
+    for weighings in (MassTestLog((press,)), MassTestLog((press,), (lift,))):
         state = system._weigh(state, weighings)
-        expected = weigh_model(pushed, weighings).absolute
+        expected = estimate_masses(pushed, weighings).absolute
         np.testing.assert_array_equal(state.estimate.found.absolute.mean, expected.mean)
         np.testing.assert_array_equal(state.estimate.center_of_mass, expected.center_of_mass)
         assert state.estimate.pushed is pushed
     # Then the pushes are learned from once more, as from the files afterwards.
     system = GridIdentifier(obj, seed=1, warm_start=False)
-    weighings = WeighingLog((press,), (lift,))
-    learned = replace(state, considered=len(log), weighings=WeighingLog(), learned_with=0)
+    weighings = MassTestLog((press,), (lift,))
+    learned = replace(state, considered=len(log), weighings=MassTestLog(), learned_with=0)
     assert not learned.is_behind
     due = system._weigh(learned, weighings)
     assert due.is_behind
@@ -166,7 +166,7 @@ def test_weighings_and_forces_make_the_estimate_absolute(cold):
     def learn(log, start=None, friction=None):
         return identify(Model(obj), log, seed=1, start=start, friction=friction)
 
-    offline, found = learn_with_weighings(learn, log, weighings)
+    offline, found = learn_with_mass_tests(learn, log, weighings)
     assert np.ptp(offline.params.friction) > 0
     np.testing.assert_array_equal(again.estimate.pushed.params.friction, offline.params.friction)
     np.testing.assert_array_equal(again.estimate.found.params.mass, found.params.mass)
@@ -177,8 +177,8 @@ def test_weighings_and_forces_make_the_estimate_absolute(cold):
     assert not again.is_behind and again.estimate.pushed.push_names == offline.push_names[:-1]
     # After the object became another one, what was weighed before does not count.
     changed = replace(state, weighed_before=(1, 1))
-    assert not len(changed.counting_weighings)
-    again = system._weigh(changed, WeighingLog((press, press), (lift,)))
+    assert not len(changed.counting_mass_tests)
+    again = system._weigh(changed, MassTestLog((press, press), (lift,)))
     assert (again.estimate.found.absolute.presses, again.estimate.found.absolute.lifts) == (1, 0)
 
 
@@ -228,7 +228,7 @@ def test_the_prior_is_made_when_it_is_first_looked_at(monkeypatch):
         made.append(arguments)
         return describe_prior(*arguments)
 
-    monkeypatch.setattr("gridpush_drake.systems.grid_identifier.describe_prior", describe)
+    monkeypatch.setattr("gridpush_drake.systems.learning.grid_identifier.describe_prior", describe)
     system = GridIdentifier(obj)
     context = system.CreateDefaultContext()
     assert not made
@@ -288,10 +288,10 @@ def test_a_load_that_was_changed_is_learned_anew(monkeypatch):
     records = []
     for number in range(len(before) + len(after)):
         state = identifier._learn(identifier._log_push(state, object()), float(number))
-        records.append(state.surprises)
+        records.append(state.innovations)
     assert [record.total for record in records[:5]] == [0] * 5
-    forgotten = state.surprises.forgotten
-    assert forgotten >= 5 and state.surprises.total >= 2
+    forgotten = state.innovations.forgotten
+    assert forgotten >= 5 and state.innovations.total >= 2
     # The estimate is that of the later pushes alone, as `identify` makes it of them.
     assert len(state.log) == 9 and not state.message
     offline = identify(Model(identifier.obj), state.log[forgotten:])

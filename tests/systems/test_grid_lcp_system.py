@@ -16,7 +16,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
+from gridpush_drake.systems.dynamics.grid_lcp_system import GridLcpSystem
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.shapes import make_shape
 
@@ -260,8 +260,8 @@ def test_pusher_that_speeds_up_is_followed():
     obj = make_shape("claw_hammer", 60)
     params, straight = make_params(obj, 4), make_push(obj, 0.2)
     t = np.linspace(0, 2.0, 401)
-    share = 3 * (t / 2) ** 2 - 2 * (t / 2) ** 3
-    xy = straight.start + share[:, None] * (straight.xy[-1] - straight.start)
+    fraction = 3 * (t / 2) ** 2 - 2 * (t / 2) ** 3
+    xy = straight.start + fraction[:, None] * (straight.xy[-1] - straight.start)
     fine = simulate(Model(obj, params), Push.along(t, xy, RADIUS))
     trajectory = PiecewisePolynomial.CubicHermite(
         [0.0, 2.0], np.array([straight.start, straight.xy[-1]]).T, np.zeros((2, 2))

@@ -11,7 +11,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.systems.grid_scene_system import GridSceneSystem
+from gridpush_drake.systems.dynamics.grid_scene_system import GridSceneSystem
 from tests.helpers.scene_cases import Layout
 from tests.helpers.shapes import rectangle
 

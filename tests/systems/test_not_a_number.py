@@ -20,20 +20,20 @@ from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.systems.contact_point_controller import ContactPointController
-from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer, ShownObject
-from gridpush_drake.systems.grasp_executor import GraspExecutor
-from gridpush_drake.systems.grid_identifier import GridIdentifier
-from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
-from gridpush_drake.systems.lift_scale import LiftScale
-from gridpush_drake.systems.messages import GraspCommand, GraspOutcome, GraspPhase, PushCommand
-from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
-from gridpush_drake.systems.poke_policy import PokePolicy
-from gridpush_drake.systems.pregrasp_controller import PreGraspController
-from gridpush_drake.systems.press_executor import PressExecutor
-from gridpush_drake.systems.push_executor import PushExecutor
-from gridpush_drake.systems.pusher_gate import PusherGate
-from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
+from gridpush_drake.systems.base.messages import GraspCommand, GraspOutcome, GraspPhase, PushCommand
+from gridpush_drake.systems.control.contact_point_controller import ContactPointController
+from gridpush_drake.systems.control.poke_policy import PokePolicy
+from gridpush_drake.systems.control.pregrasp_controller import PreGraspController
+from gridpush_drake.systems.dynamics.grid_lcp_system import GridLcpSystem
+from gridpush_drake.systems.execution.grasp_executor import GraspExecutor
+from gridpush_drake.systems.execution.press_executor import PressExecutor
+from gridpush_drake.systems.execution.push_executor import PushExecutor
+from gridpush_drake.systems.learning.estimate_visualizer import EstimateVisualizer, ShownObject
+from gridpush_drake.systems.learning.grid_identifier import GridIdentifier
+from gridpush_drake.systems.sensing.lift_scale import LiftScale
+from gridpush_drake.systems.sensing.planar_pose_sensor import PlanarPoseSensor
+from gridpush_drake.systems.sensing.pusher_gate import PusherGate
+from gridpush_drake.systems.sensing.pusher_state_sensor import PusherStateSensor
 from tests.helpers.made_identifications import make_block
 from tests.helpers.poke_diagram import FINGER_RULES, REGION, make_poke_diagram
 
@@ -49,8 +49,8 @@ PRESS = np.array([*OBJ.outline.centroid.coords[0], -0.02, 0.0, 0.0, 0.03, 0.0, 0
 COMMANDS = {"push_command": PUSH, "grasp_command": GRASP, "press_command": PRESS}
 OPEN_GRIPPER = np.array([-0.05, 0.05, 0.0, 0.0])
 UNIFORM = CellParameters.uniform(OBJ)
-STEPS, STEP, SHARE = 60, 0.11, 0.4
-"""How often the inputs change, after how many s, and the share of them with NaN."""
+STEPS, STEP, FRACTION = 60, 0.11, 0.4
+"""How often the inputs change, after how many s, and the fraction of them with NaN."""
 
 LONG = 18.0
 """s, in which two pokes are made."""
@@ -144,7 +144,7 @@ def simulate(system, seed):
                     system,
                     context,
                     port.get_name(),
-                    spoil(good, rng) if rng.random() < SHARE else good,
+                    spoil(good, rng) if rng.random() < FRACTION else good,
                 )
         simulator.AdvanceTo((count + 1) * STEP)
         for i in range(system.num_output_ports()):

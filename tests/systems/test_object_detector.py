@@ -12,8 +12,8 @@ from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
 
 from gridpush_drake.objects.object_file import PhysicalPrior
-from gridpush_drake.perception.detection import detect_object
-from gridpush_drake.systems.object_detector import ObjectDetector, ObjectNaming
+from gridpush_drake.perception.detection.detection import detect_object
+from gridpush_drake.systems.sensing.object_detector import ObjectDetector, ObjectNaming
 from tests.systems.test_object_pose_estimator import (
     ARM,
     CAMERA,
@@ -37,7 +37,7 @@ class Run:
         self.painter = builder.AddSystem(Painter(-np.inf if arm_until else np.inf))
         self.arm_until = arm_until
         self.detector = builder.AddSystem(
-            ObjectDetector(CAMERA, naming=NAMING, hidden_by=[ARM], period=PERIOD, **options)
+            ObjectDetector(CAMERA, naming=NAMING, occluded_by=[ARM], period=PERIOD, **options)
         )
         for name in ("color", "depth", "label"):
             builder.Connect(
@@ -167,7 +167,7 @@ FLAT = paint(ImageDepth32F(WIDTH, HEIGHT), 0.6)
 )  # fmt: skip
 def test_what_is_wrong_with_a_picture_is_on_the_message_port(color, depth, label, says):
     builder = DiagramBuilder()
-    detector = builder.AddSystem(ObjectDetector(CAMERA, hidden_by=[ARM], period=PERIOD))
+    detector = builder.AddSystem(ObjectDetector(CAMERA, occluded_by=[ARM], period=PERIOD))
     for name, image in (("color", color), ("depth", depth), ("label", label)):
         if image is not None:
             source = builder.AddSystem(ConstantValueSource(Value(image)))

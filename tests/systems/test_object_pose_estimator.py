@@ -12,12 +12,12 @@ from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
 
 from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.frames import Frame
-from gridpush_drake.perception.pose_prediction import PushModel, Tip
-from gridpush_drake.perception.tracking import PoseTracker
-from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
-from gridpush_drake.systems.rgbd_noise import RgbdNoise
+from gridpush_drake.perception.images.camera import Camera
+from gridpush_drake.perception.images.frames import Frame
+from gridpush_drake.perception.tracking.pose_prediction import PushModel, Tip
+from gridpush_drake.perception.tracking.tracking import PoseTracker
+from gridpush_drake.systems.sensing.object_pose_estimator import ObjectPoseEstimator
+from gridpush_drake.systems.sensing.rgbd_noise import RgbdNoise
 
 WIDTH, HEIGHT, FOCAL, ABOVE = 320, 240, 380.0, 0.6
 OUTLINE = shapely.Polygon(
@@ -38,7 +38,7 @@ def calc_pose(time: float) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def find_block(time: float) -> np.ndarray:
-    """The share of each pixel that is block."""
+    """The fraction of each pixel that is block."""
     q, subpixels = calc_pose(time), []
     for dx, dy in ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)):
         xy = transform_back(q, CAMERA.cast(PIXELS + (dx, dy), THICKNESS).reshape(-1, 2))
@@ -61,8 +61,10 @@ class Painter(LeafSystem):
             )
 
     def _draw_color(self, context: Context, output) -> None:
-        share, image = find_block(context.get_time())[..., None], ImageRgba8U(WIDTH, HEIGHT)
-        image.mutable_data[..., :3] = np.rint(share * (120, 30, 30) + (1 - share) * (200, 170, 130))
+        fraction, image = find_block(context.get_time())[..., None], ImageRgba8U(WIDTH, HEIGHT)
+        image.mutable_data[..., :3] = np.rint(
+            fraction * (120, 30, 30) + (1 - fraction) * (200, 170, 130)
+        )
         image.mutable_data[..., 3] = 255
         output.set_value(image)
 
@@ -94,7 +96,7 @@ class Run:
                 period=PERIOD,
                 latency=latency,
                 guess=guess,
-                hidden_by=[ARM],
+                occluded_by=[ARM],
             )
         )
         for name in ("color", "depth"):
@@ -188,8 +190,10 @@ def test_an_object_that_seems_to_jump_where_the_finger_is_not_is_not_seen(tip, s
 
     def take(time: float, covered) -> None:
         nonlocal state, found
-        share = find_block(time)[..., None]
-        color = np.rint(share * (120, 30, 30) + (1 - share) * (200, 170, 130)).astype(np.uint8)
+        fraction = find_block(time)[..., None]
+        color = np.rint(fraction * (120, 30, 30) + (1 - fraction) * (200, 170, 130)).astype(
+            np.uint8
+        )
         frame = Frame(color, None, time)
         state = state or tracker.start(frame, calc_pose(0.0))
         state, (found,) = estimator._track(state, frame, covered, None, place)

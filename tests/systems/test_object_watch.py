@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from gridpush_drake.systems.object_watch import LEVER, ObjectWatch, WatchState
+from gridpush_drake.systems.sensing.object_watch import MAX_LEVER_RATIO, ObjectWatch, WatchState
 
 LOOK, PERIOD = 1 / 30, 0.005
 WATCH = ObjectWatch(shapely.box(-0.1, -0.03, 0.1, 0.03), height=0.03, tip_radius=0.01)
@@ -64,7 +64,7 @@ def test_an_object_that_is_pushed_turned_or_seen_with_noise_is_none_of_that():
     still = watch(lambda t: AWAY, lambda t: POSE + noise(), duration=5.0)
     turned = watch(
         lambda t: [0.6 + 0.09, 0.06 + 0.1 * t, 0.012],
-        lambda t: POSE + [0, 0, LEVER * 0.5 * t] + noise(),
+        lambda t: POSE + [0, 0, MAX_LEVER_RATIO * 0.5 * t] + noise(),
         duration=0.3,
     )
     assert (pushed[0], still[0], turned[0]) == ("", "", "")

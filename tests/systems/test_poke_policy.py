@@ -16,8 +16,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.exploration import RandomPokeOptions, RandomPokes
 from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.systems.messages import PushCommand, PushPhase, PushStatus
-from gridpush_drake.systems.poke_policy import LOGGING_TIME, PokePolicy, make_command
+from gridpush_drake.systems.base.messages import PushCommand, PushPhase, PushStatus
+from gridpush_drake.systems.control.poke_policy import LOGGING_TIME, PokePolicy, make_command
 from tests.helpers.poke_diagram import FINGER_RULES, REGION, make_poke_diagram
 from tests.helpers.shapes import make_shape
 

@@ -13,15 +13,15 @@ from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.gripper import Gripper
+from gridpush_drake.planning.pregrasp.grasp.gripper import Gripper
+from gridpush_drake.planning.pregrasp.grasp.side_grasp import find_side_grasps
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
-from gridpush_drake.planning.pregrasp.side_grasp import find_side_grasps
-from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
+from gridpush_drake.planning.pregrasp.weighing_planner import TiltTestPlanner
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-from gridpush_drake.systems.messages import (
+from gridpush_drake.systems.base.messages import (
     GraspCommand,
     GraspOutcome,
     GraspStatus,
@@ -30,7 +30,7 @@ from gridpush_drake.systems.messages import (
     PushPhase,
     PushStatus,
 )
-from gridpush_drake.systems.pregrasp_controller import PreGraspController
+from gridpush_drake.systems.control.pregrasp_controller import PreGraspController
 
 TABLE = SupportSurface.rectangle((0.0, 0.0), (0.8, 0.6))
 
@@ -278,7 +278,7 @@ def test_refuses_options_out_of_range(options):
 def test_what_it_presses_stands_on_a_port_only_if_it_weighs():
     plain = Robot((0.0, 0.0, 0.0)).controller
     assert not plain.HasOutputPort("press_command")
-    planner = WeighingPlanner(BAR, TABLE)
+    planner = TiltTestPlanner(BAR, TABLE)
     controller = PreGraspController(planner, Robot.find_grasp, weighs=True)
     context = controller.CreateDefaultContext()
     port = controller.GetOutputPort("press_command")

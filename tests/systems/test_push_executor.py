@@ -8,8 +8,8 @@ import shapely
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.systems.messages import GraspStatus, PushCommand, PushStatus
-from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions
+from gridpush_drake.systems.base.messages import GraspStatus, PushCommand, PushStatus
+from gridpush_drake.systems.execution.push_executor import PushExecutor, PushTrajectoryOptions
 
 HOME = (0.6, 0.1, 0.2)
 OUTLINE = shapely.box(-0.05, -0.02, 0.05, 0.02)

@@ -5,7 +5,7 @@ import pytest
 from pydrake.systems.framework import Context
 from pydrake.systems.sensors import ImageDepth32F, ImageRgba8U
 
-from gridpush_drake.systems.rgbd_noise import RgbdNoise
+from gridpush_drake.systems.sensing.rgbd_noise import RgbdNoise
 
 WIDTH, HEIGHT, PERIOD = 160, 120, 0.1
 NEAR, FAR = 1.0, 2.0

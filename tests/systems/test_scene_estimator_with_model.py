@@ -14,7 +14,7 @@ from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception import KnownObject, SceneTracker
-from gridpush_drake.perception.pose_prediction import ScenePushModel
+from gridpush_drake.perception.tracking.pose_prediction import ScenePushModel
 from gridpush_drake.systems import ObjectsPoseEstimator
 from tests.helpers.hidden_pictures import ARM, HEIGHT, PERIOD, ROWS, WIDTH, HiddenPictures
 from tests.helpers.pictures import make_camera
@@ -61,7 +61,7 @@ def run(model: ScenePushModel | None, covered_from: float = np.inf):
             ROWS,
             period=PERIOD,
             guesses=list(START),
-            hidden_by=[ARM],
+            occluded_by=[ARM],
             model=model,
         )
     )

@@ -8,8 +8,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor, project_pose
-from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
+from gridpush_drake.systems.sensing.planar_pose_sensor import PlanarPoseSensor, project_pose
+from gridpush_drake.systems.sensing.pusher_state_sensor import PusherStateSensor
 
 SPIN = 2.0  # rad/s
 SPEED = 0.1  # m/s

@@ -9,8 +9,8 @@ from pydrake.systems.framework import DiagramBuilder
 from shapely import box
 
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN
-from gridpush_drake.systems.messages import PushPhase, PushStatus, SteerCommand, SteerPhase
-from gridpush_drake.systems.steer_executor import SteerExecutor, SteerOptions
+from gridpush_drake.systems.base.messages import PushPhase, PushStatus, SteerCommand, SteerPhase
+from gridpush_drake.systems.execution.steer_executor import SteerExecutor, SteerOptions
 
 HOME = np.array([0.5, 0.0, 0.2])
 STYLE = SteerOptions()

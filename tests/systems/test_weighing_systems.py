@@ -10,19 +10,19 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.weighing.press import PressOutcome, PressTarget
-from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
-from gridpush_drake.station.pregrasp_kind import PreGraspKind
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor, LoadNoise
-from gridpush_drake.systems.lift_scale import LiftOptions, LiftScale
-from gridpush_drake.systems.messages import (
+from gridpush_drake.pushes.weighings import MassTestLog, TiltTest
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.tasks.pregrasp_kind import PreGraspKind
+from gridpush_drake.systems.base.messages import (
     GraspCommand,
     GraspPhase,
     GraspStatus,
     PressCommand,
     PushStatus,
 )
-from gridpush_drake.systems.press_executor import PressExecutor
+from gridpush_drake.systems.execution.press_executor import PressExecutor
+from gridpush_drake.systems.sensing.arm_load_sensor import ArmLoadSensor, LoadNoise
+from gridpush_drake.systems.sensing.lift_scale import LiftOptions, LiftScale
 from tests.helpers.shapes import rectangle
 
 BAR = GridObject.from_outline(rectangle(0.3, 0.06), max_cells=60, name="bar")
@@ -248,8 +248,8 @@ def test_a_lifted_object_is_weighed_by_what_is_felt_beyond_the_empty_gripper():
     def fix(port, value):
         scale.GetInputPort(port).FixValue(context, value)
 
-    press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
-    fix("weighing_log", AbstractValue.Make(WeighingLog((press,))))
+    press = TiltTest(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
+    fix("weighing_log", AbstractValue.Make(MassTestLog((press,))))
     command = GraspCommand(1, x=0.5, y=0.2, z=0.015, approach=-1.5, lift=0.1)
     fix("grasp_command", command.to_vector())
     offset = np.array([0.05, -0.02, 0.01, 0.4, -0.3, 0.6])

@@ -24,10 +24,10 @@ from gridpush_drake.planning.exploration import RandomPokeOptions, RandomPokes
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.systems.grid_identifier import GridIdentifier
-from gridpush_drake.systems.messages import ContactPointMode, PushStatus
-from gridpush_drake.systems.poke_policy import PokePolicy
-from gridpush_drake.systems.worker import Worker, make_worker
+from gridpush_drake.systems.base.messages import ContactPointMode, PushStatus
+from gridpush_drake.systems.base.worker import Worker, make_worker
+from gridpush_drake.systems.control.poke_policy import PokePolicy
+from gridpush_drake.systems.learning.grid_identifier import GridIdentifier
 from tests.helpers.goal_diagram import Run, make_run
 from tests.helpers.made_identifications import make_block
 from tests.helpers.poke_diagram import FINGER_RULES, REGION, PokeDiagram, make_poke_diagram

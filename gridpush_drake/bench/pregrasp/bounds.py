@@ -13,33 +13,34 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from gridpush_drake.bench.table import MM, PERCENT, Column, Share, Table
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.goals import GoalOptions, find_pregrasp_goals
-from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
+from gridpush_drake.planning.pregrasp.grasp.grasp_parts import GraspPart
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.report.table import Column, Proportion, Table
+from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
 
-RUBBER = 0.8
+RUBBER_FRICTION = 0.8
 """Friction of a part of rubber."""
 
-STEEL = 0.2
+STEEL_FRICTION = 0.2
 """Friction of a part of steel."""
 
-TOLD = {
+KNOWN_FRICTION_BOUNDS = {
     f"{low:g} to {high:g}": (low, high)
-    for low, high in ((STEEL, RUBBER), (0.2, 0.6), (0.25, 0.5), (0.3, 0.4))
+    for low, high in ((STEEL_FRICTION, RUBBER_FRICTION), (0.2, 0.6), (0.25, 0.5), (0.3, 0.4))
 }
 """Bounds of the friction that the method is told of such objects; the first ones hold."""
 
-DRAWN = "drawn"
+DRAWN_EXPERIMENT = "drawn"
 """Name of the experiment with objects of known relative friction, drawn within what is told."""
 
-KNOWN = {f"known, {key}": bounds for key, bounds in TOLD.items()}
+KNOWN_EXPERIMENTS = {f"known, {key}": bounds for key, bounds in KNOWN_FRICTION_BOUNDS.items()}
 """Experiments with objects of known relative friction that are partly of rubber, by their names,
 with the bounds that are told."""
 
@@ -47,13 +48,18 @@ with the bounds that are told."""
 def draw_materials(obj: GridObject, mass_set: int) -> Array:
     """Draws frictions (n,) of an object of which one part is of rubber, and the others of steel."""
     rng = np.random.default_rng([mass_set, 2])
-    return np.where(obj.labels == rng.choice(np.unique(obj.labels)), RUBBER, STEEL)
+    return np.where(
+        obj.labels == rng.choice(np.unique(obj.labels)), RUBBER_FRICTION, STEEL_FRICTION
+    )
 
 
-def describe_share(count: int, total: int) -> str:
-    """Writes a share in percent, and its interval."""
-    share = Share.of(count, total)
-    return f"{PERCENT * count / total:.0f} ({PERCENT * share.low:.0f}-{PERCENT * share.high:.0f})"
+def describe_fraction(count: int, total: int) -> str:
+    """Writes a fraction in percent, and its interval."""
+    fraction = Proportion.of(count, total)
+    return (
+        f"{PERCENT_PER_ONE * count / total:.0f} "
+        f"({PERCENT_PER_ONE * fraction.low:.0f}-{PERCENT_PER_ONE * fraction.high:.0f})"
+    )
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ class BoundsScore:
     """One object with known relative friction.
 
     Attributes:
-        method: DRAWN, or one of KNOWN.
+        method: DRAWN_EXPERIMENT, or one of KNOWN_EXPERIMENTS.
         safe: whether there is a goal that is safe for all masses within the bounds.
         tips: whether the object tips at the best such goal.
         outside: how far the true center of mass is outside the region that the bounds leave, m.
@@ -89,7 +95,7 @@ def judge_bounds(
         parts: where it can be grasped.
         surface: the table.
         max_arm: greatest distance of the grasp from where the center of mass is believed, m.
-        method: DRAWN, or one of KNOWN.
+        method: DRAWN_EXPERIMENT, or one of KNOWN_EXPERIMENTS.
     """
     # The masses that are possible within the bounds, and how far the truth is from them.
     friction = truth.relative_friction()[None]
@@ -111,10 +117,14 @@ def judge_bounds(
 
 BOUNDS_COLUMNS: dict[str, Column] = {
     "objects": len,
-    "safe goal, %": lambda scores: describe_share(sum(each.safe for each in scores), len(scores)),
-    "tips there, %": lambda scores: describe_share(sum(each.tips for each in scores), len(scores)),
+    "safe goal, %": lambda scores: describe_fraction(
+        sum(each.safe for each in scores), len(scores)
+    ),
+    "tips there, %": lambda scores: describe_fraction(
+        sum(each.tips for each in scores), len(scores)
+    ),
     "center outside": lambda scores: sum(each.outside > 0 for each in scores),
-    "worst, mm": lambda scores: MM * max(each.outside for each in scores),
+    "worst, mm": lambda scores: MM_PER_M * max(each.outside for each in scores),
 }
 
 
@@ -122,15 +132,19 @@ def tabulate_bounds(scores: Sequence[BoundsScore], friction: tuple[float, float]
     """Tabulates what the bounds allow, and where they mislead."""
     label = f"{friction[0]:g} to {friction[1]:g}"
     names = {
-        DRAWN: f"{label}, drawn",
-        **{key: f"{told}, rubber" for key, told in zip(KNOWN, TOLD, strict=True)},
+        DRAWN_EXPERIMENT: f"{label}, drawn",
+        **{
+            key: f"{friction_bounds}, rubber"
+            for key, friction_bounds in zip(KNOWN_EXPERIMENTS, KNOWN_FRICTION_BOUNDS, strict=True)
+        },
     }
     groups = [
         ((name,), [score for score in scores if score.method == key]) for key, name in names.items()
     ]
     notes = (
         "Told are bounds of the friction: of what is drawn within them, or of one part of rubber, "
-        f"{RUBBER:g}, with others of steel, {STEEL:g}. The relative friction is known exactly.",
+        f"{RUBBER_FRICTION:g}, with others of steel, {STEEL_FRICTION:g}. The relative friction is "
+        "known exactly.",
         "safe goal: one where no masses within the bounds tip the object. tips there: the true "
         "ones do.",
         "center outside: objects whose true center of mass is outside the region that the bounds "

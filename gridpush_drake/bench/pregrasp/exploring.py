@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.bench.protocol import add_pose_noise
-from gridpush_drake.bench.table import MM, PERCENT, Column, Table
+from gridpush_drake.bench.data.protocol import add_pose_noise
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
@@ -31,27 +30,29 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.report.table import Column, Table
+from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
 
 WANTED_STD = 0.005
 """Standard deviation of the center of mass that pokes are to reach, m: in the direction that is
 wanted or, of both, in the one least known."""
 
-BOTH = "both directions"
+BOTH_DIRECTIONS = "both directions"
 """Aim at the center of mass in both directions."""
 
-ALONG = "along the object"
+ALONG_OBJECT = "along the object"
 """Aim at the center of mass along the object's longest direction."""
 
-AIMS = (BOTH, ALONG)
+AIM_NAMES = (BOTH_DIRECTIONS, ALONG_OBJECT)
 """What of the center of mass is wanted."""
 
-DISTANCES = (0.02, 0.04, 0.08)
+POKE_LENGTHS = (0.02, 0.04, 0.08)
 """Lengths of the pokes, m."""
 
 MAX_POKES = 20
 """Number of pokes after which one gives up; it then counts as one more."""
 
-LIKELY = {BOTH: 5.991 / 2, ALONG: 3.841}
+CHI_SQUARE_BOUNDS = {BOTH_DIRECTIONS: 5.991 / 2, ALONG_OBJECT: 3.841}
 """Values per direction that 95 % of chi squares stay below: of two degrees of freedom, and of
 one."""
 
@@ -79,7 +80,7 @@ class ExplorationScore:
 
     Attributes:
         name: name of the object.
-        aim: what of the center of mass is wanted, one of AIMS.
+        aim: what of the center of mass is wanted, one of AIM_NAMES.
         distance: length of the pokes, m.
         active: the run of pokes by design.
         random: the run of pokes at random.
@@ -97,10 +98,12 @@ EXPLORE_COLUMNS: dict[str, Column] = {
     "by design": lambda scores: _mean_pokes(scores, "active"),
     "at random": lambda scores: _mean_pokes(scores, "random"),
     "ratio": lambda scores: _mean_pokes(scores, "active") / _mean_pokes(scores, "random"),
-    "error, mm": lambda scores: MM * float(np.mean([score.active.error for score in scores])),
-    "at random, mm": lambda scores: MM * float(np.mean([score.random.error for score in scores])),
+    "error, mm": lambda scores: MM_PER_M * float(np.mean([score.active.error for score in scores])),
+    "at random, mm": lambda scores: (
+        MM_PER_M * float(np.mean([score.random.error for score in scores]))
+    ),
     "within 95 %, %": lambda scores: (
-        PERCENT * float(np.mean([_is_within(score) for score in scores]))
+        PERCENT_PER_ONE * float(np.mean([_is_within(score) for score in scores]))
     ),
 }
 
@@ -110,7 +113,9 @@ def _mean_pokes(scores: Sequence[ExplorationScore], way: str) -> float:
 
 
 def _is_within(score: ExplorationScore) -> list[bool]:
-    return [trace.chi_square <= LIKELY[score.aim] for trace in (score.active, score.random)]
+    return [
+        trace.chi_square <= CHI_SQUARE_BOUNDS[score.aim] for trace in (score.active, score.random)
+    ]
 
 
 def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
@@ -118,13 +123,13 @@ def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
     lengths = sorted({score.distance for score in scores})
     groups = [
         (
-            (aim, MM * length),
+            (aim, MM_PER_M * length),
             [score for score in scores if (score.aim, score.distance) == (aim, length)],
         )
-        for aim in AIMS
+        for aim in AIM_NAMES
         for length in lengths
     ]
-    title = f"Pokes until the center of mass is known to {WANTED_STD * MM:.0f} mm"
+    title = f"Pokes until the center of mass is known to {WANTED_STD * MM_PER_M:.0f} mm"
     notes = (
         "by design, at random: mean number of pokes; the poke said to tell most, or any of the "
         "same pool.",
@@ -142,7 +147,7 @@ def tabulate_exploration_by_object(
     """Tabulates the pokes needed by object, over all lengths."""
     groups = [
         ((aim, name), [score for score in scores if (score.aim, score.name) == (aim, name)])
-        for aim in AIMS
+        for aim in AIM_NAMES
         for name in objects
     ]
     return Table.of(
@@ -150,10 +155,10 @@ def tabulate_exploration_by_object(
     )
 
 
-EXPLORING = {
+POKE_COMPARISONS = {
     f"exploring, {aim}, {1e3 * distance:.0f} mm": (aim, distance)
-    for distance in DISTANCES
-    for aim in AIMS
+    for distance in POKE_LENGTHS
+    for aim in AIM_NAMES
 }
 """Comparisons of pokes by their names, with what is wanted of the center of mass, and the pokes'
 length, m."""
@@ -165,7 +170,7 @@ def explore(
     name: str,
     mass_set: int,
     seed: int,
-    aim: str = BOTH,
+    aim: str = BOTH_DIRECTIONS,
     distance: float = PokeOptions().distance,
 ) -> ExplorationScore:
     """Pokes an object by design and at random, from the same hidden truth.
@@ -178,12 +183,12 @@ def explore(
         name: name of the object.
         mass_set: number of the hidden set of masses, which seeds the noise too.
         seed: seed of the noise.
-        aim: what of the center of mass is wanted, one of AIMS.
+        aim: what of the center of mass is wanted, one of AIM_NAMES.
         distance: length of the pokes, m.
     """
     alike = CellParameters(truth.mass, np.full(obj.n, obj.prior.friction), truth.contact_friction)
     long = np.linalg.svd(obj.p_BC - obj.p_BC.mean(axis=0))[2][0]
-    wanted = np.eye(2) if aim == BOTH else long[None]
+    wanted = np.eye(2) if aim == BOTH_DIRECTIONS else long[None]
     options = PokeOptions(distance=distance)
     runs = []
     for active in (True, False):

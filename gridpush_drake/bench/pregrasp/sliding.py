@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench.pregrasp.bounds import TOLD, describe_share
-from gridpush_drake.bench.pregrasp.world import Outcome, PaperLearner, run_pregrasp
-from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL, know_friction
-from gridpush_drake.bench.table import MM, PERCENT, Column, Table, calc_mean, count_of, mean_of
+from gridpush_drake.bench.data.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL, know_friction
+from gridpush_drake.bench.pregrasp.bounds import KNOWN_FRICTION_BOUNDS, describe_fraction
+from gridpush_drake.bench.pregrasp.world import PaperLearner, PreGraspOutcome, run_pregrasp
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
@@ -24,14 +23,16 @@ from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import PushWorld
+from gridpush_drake.report.table import Column, Table, calc_mean, count_of, mean_of
+from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
 
-RECTANGLE = (0.9, 0.7)
+RECTANGLE_SIDES = (0.9, 0.7)
 """Sides of the rectangular table, m."""
 
-RADIUS = 0.45
+ROUND_TABLE_RADIUS = 0.45
 """Radius of the round table, m."""
 
-HEXAGON = 0.5
+HEXAGON_RADIUS = 0.5
 """Distance of the hexagonal table's corners from its middle, m."""
 
 
@@ -59,10 +60,10 @@ def make_table(seed: int) -> SupportSurface:
     """Makes a rectangular, a round or a hexagonal table about the world's origin, in turn."""
     kind = seed % 3
     if kind == 0:
-        return SupportSurface.rectangle((0.0, 0.0), RECTANGLE)
+        return SupportSurface.rectangle((0.0, 0.0), RECTANGLE_SIDES)
     if kind == 1:
-        return SupportSurface.round((0.0, 0.0), RADIUS)
-    return SupportSurface.from_polygon(HEXAGON * make_direction(np.pi / 3 * np.arange(6)))
+        return SupportSurface.round((0.0, 0.0), ROUND_TABLE_RADIUS)
+    return SupportSurface.from_polygon(HEXAGON_RADIUS * make_direction(np.pi / 3 * np.arange(6)))
 
 
 @dataclass(frozen=True)
@@ -77,12 +78,12 @@ class SlideScore:
 
     name: str
     method: str
-    outcome: Outcome
+    outcome: PreGraspOutcome
 
 
 SLIDE_COLUMNS: dict[str, Column] = {
     "runs": len,
-    "graspable, %": mean_of("grasped", PERCENT),
+    "graspable, %": mean_of("grasped", PERCENT_PER_ONE),
     "dropped": count_of("dropped", True),
     "given up": lambda outcomes: sum(
         not (outcome.grasped or outcome.dropped) for outcome in outcomes
@@ -112,23 +113,23 @@ def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Tab
     )
 
 
-SHARE_COLUMNS: dict[str, Column] = {
+FRACTION_COLUMNS: dict[str, Column] = {
     "runs": len,
-    "reached, %": lambda outcomes: describe_share(
+    "reached, %": lambda outcomes: describe_fraction(
         sum(each.grasped for each in outcomes), len(outcomes)
     ),
-    "dropped, %": lambda outcomes: describe_share(
+    "dropped, %": lambda outcomes: describe_fraction(
         sum(each.dropped for each in outcomes), len(outcomes)
     ),
     "pokes": mean_of("pokes"),
     "slides": mean_of("slides"),
     "mm to spare": lambda outcomes: (
-        MM * calc_mean(each.margin for each in outcomes if each.grasped)
+        MM_PER_M * calc_mean(each.margin for each in outcomes if each.grasped)
     ),
 }
 
 
-def tabulate_shares(
+def tabulate_fractions(
     scores: Sequence[SlideScore], by: str, keys: Sequence[str], notes: Sequence[str]
 ) -> Table:
     """Tabulates successes and drops with their intervals.
@@ -147,7 +148,7 @@ def tabulate_shares(
         "the object on the table.",
         "to spare: stability margin at the worst where it was reached.",
     )
-    return Table.of(f"Pre-grasp sliding by {by}", (by,), groups, SHARE_COLUMNS, notes)
+    return Table.of(f"Pre-grasp sliding by {by}", (by,), groups, FRACTION_COLUMNS, notes)
 
 
 def tabulate_objects(scores: Sequence[SlideScore], objects: Sequence[str], method: str) -> Table:
@@ -159,22 +160,28 @@ def tabulate_objects(scores: Sequence[SlideScore], objects: Sequence[str], metho
     return Table.of(f"Pre-grasp sliding by object, {method}", ("object",), groups, SLIDE_COLUMNS)
 
 
-LEARNED = "learned"
+LEARNED_METHOD = "learned"
 """Name of the method."""
 
-WIDE = "learned, wide friction"
+WIDE_FRICTION_METHOD = "learned, wide friction"
 """Name of the method where less is known of the friction."""
 
-TRUE = "true"
+TRUE_METHOD = "true"
 """Name of the method that knows the true parameters."""
 
-UNIFORM = "uniform"
+UNIFORM_METHOD = "uniform"
 """Name of the method that believes in a uniform mass."""
 
-UNBOUNDED = "unbounded"
+UNBOUNDED_METHOD = "unbounded"
 """Name of the paper's identification without a bound on the friction."""
 
-METHODS = (LEARNED, WIDE, TRUE, UNIFORM, UNBOUNDED)
+SLIDING_METHODS = (
+    LEARNED_METHOD,
+    WIDE_FRICTION_METHOD,
+    TRUE_METHOD,
+    UNIFORM_METHOD,
+    UNBOUNDED_METHOD,
+)
 """Methods that slide objects to the edge."""
 
 WIDE_FRICTION_RANGE = (0.25, 0.5)
@@ -190,7 +197,7 @@ MAX_ARMS = {"toolbox": 0.15}
 """Greatest distance of the grasp from where the center of mass is believed, m, of objects that
 offer nothing to hold so near to their middle. This one can be taken by its edge only."""
 
-OFFSET = 0.05
+MAX_START_OFFSET = 0.05
 """Greatest distance of the object from the table's middle at the beginning, along each axis, m."""
 
 PAPER_PUSHES = 4
@@ -198,15 +205,15 @@ PAPER_PUSHES = 4
 itself."""
 
 
-def run_method(world: PushWorld, planner: PreGraspPlanner, method: str) -> Outcome:
-    """Runs the task by a method of METHODS or TOLD."""
-    if method in (LEARNED, WIDE, *TOLD):
+def run_method(world: PushWorld, planner: PreGraspPlanner, method: str) -> PreGraspOutcome:
+    """Runs the task by a method of SLIDING_METHODS or KNOWN_FRICTION_BOUNDS."""
+    if method in (LEARNED_METHOD, WIDE_FRICTION_METHOD, *KNOWN_FRICTION_BOUNDS):
         return run_pregrasp(world, planner)
-    if method == UNBOUNDED:
+    if method == UNBOUNDED_METHOD:
         paper = PaperLearner(NO_BOUND, PAPER_PUSHES)
         return run_pregrasp(world, planner, paper.learn, paper.make_inference(planner.obj))
     params = CellParameters.uniform(planner.obj)
-    if method == TRUE:
+    if method == TRUE_METHOD:
         hidden = world.truth.bodies
         assert hidden is not None
         params = hidden.params

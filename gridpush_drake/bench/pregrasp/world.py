@@ -40,7 +40,7 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.planning.world import (
     FALLEN_TILT,
-    REGIME,
+    WORLD_REGIME,
     PushWorld,
     TrackedWorld,
     WorldMotion,
@@ -48,7 +48,7 @@ from gridpush_drake.planning.world import (
 )
 from gridpush_drake.pushes.push_log import PushLog
 
-LEARNER = Learner(memory=14)
+DEFAULT_LEARNER = Learner(memory=14)
 """Default method of learning, from the latest pushes: the cost of learning grows with their number,
 and what they tell hardly does."""
 
@@ -104,7 +104,7 @@ class EdgeWorld(TrackedWorld):
             angle_std=angle_std,
             seed=seed,
             observations=1,
-            looks_anew=True,
+            observes_anew=True,
         )
 
     def do_put(self, pose: Array) -> Array:
@@ -113,7 +113,7 @@ class EdgeWorld(TrackedWorld):
 
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
         """Simulates a push of the object from a pose (3,), up to where it falls."""
-        times = make_path_times(push, REGIME)
+        times = make_path_times(push, WORLD_REGIME)
         motion = simulate_near_edge(self.bodies, push, pose, self.surface)
         return WorldMotion(
             times=times[: len(motion.poses)],
@@ -171,7 +171,7 @@ class MujocoEdgeWorld(MujocoWorld):
         """
         self.surface = require_table(surface)
         left, low, right, high = self.surface.polygon.bounds
-        if len(self.surface.corners) != CORNERS or not np.isclose(
+        if len(self.surface.corners) != RECTANGLE_CORNERS or not np.isclose(
             self.surface.polygon.area, (right - left) * (high - low)
         ):
             raise PlanningError(
@@ -191,7 +191,7 @@ class MujocoEdgeWorld(MujocoWorld):
             angle_std=angle_std,
             seed=rng,
             observations=1,
-            looks_anew=True,
+            observes_anew=True,
         )
         self.bodies = Bodies(
             know_height(obj, body.push_height), replace(light, push_height=body.push_height)
@@ -201,7 +201,7 @@ class MujocoEdgeWorld(MujocoWorld):
         """Pushes the body, and waits until it rests; the motion ends where it falls."""
         made = self._push(push)
         self._let_pass(REST_TIME)
-        times = make_path_times(push, REGIME)
+        times = make_path_times(push, WORLD_REGIME)
         poses = np.column_stack([np.interp(times, made.times, column) for column in made.poses.T])
         assert made.tilt is not None
         tilts = made.tilt >= FALLEN_TILT
@@ -237,7 +237,7 @@ class MujocoEdgeWorld(MujocoWorld):
         return stays
 
 
-CORNERS = 4
+RECTANGLE_CORNERS = 4
 """Number of corners of a rectangle."""
 
 
@@ -267,7 +267,7 @@ def know_height(obj: GridObject, height: float) -> GridObject:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PreGraspOutcome:
     """How a run ended.
 
     Attributes:
@@ -291,9 +291,9 @@ class Outcome:
 def run_pregrasp(
     world: PushWorld,
     planner: PreGraspPlanner,
-    learn: Learn | None = LEARNER,
+    learn: Learn | None = DEFAULT_LEARNER,
     infer: Infer | None = None,
-) -> Outcome:
+) -> PreGraspOutcome:
     """Runs the task until a part can be grasped, or to its end.
 
     Args:
@@ -310,7 +310,7 @@ def run_pregrasp(
     if status.mode == PreGraspMode.VERIFYING and not truth.fallen:
         overhangs = calc_overhangs(planner.parts, truth.pose, planner.surface)
         grasped = bool(overhangs.max() >= 0) and truth.stays
-    return Outcome(
+    return PreGraspOutcome(
         grasped=grasped,
         dropped=bool(truth.fallen),
         pokes=status.pokes,
@@ -342,9 +342,9 @@ class PaperLearner:
         self, obj: GridObject, log: PushLog, before: Identification | None
     ) -> Identification | None:
         """Learns from the latest pushes."""
-        chosen = LEARNER.select(log)
+        chosen = DEFAULT_LEARNER.select(log)
         if len(chosen) < self.min_pokes:
-            return LEARNER(obj, log, before)
+            return DEFAULT_LEARNER(obj, log, before)
         if chosen[-1] is not log[-1]:
             return before
         low, high = self.friction_range
@@ -360,7 +360,7 @@ class PaperLearner:
         def infer(found: Identification | None, log: PushLog) -> UncertainModel | None:
             if found is None:
                 return None
-            if len(LEARNER.select(log)) < self.min_pokes:
+            if len(DEFAULT_LEARNER.select(log)) < self.min_pokes:
                 names = found.push_names
                 used = log.subset([i for i, seen in enumerate(log) if seen.name in names])
                 return UncertainModel.of_identification(found, log=used)

@@ -2,7 +2,8 @@
 
 The unknowns are z = (center x, center y, log arm). Of each decision in which the block moved, the
 disc's state, the block's pose before and the target are known; the law of
-`dynamics.kernels.driven_disc` then gives the pose afterwards, y(z). `BlockLearner` minimizes
+`dynamics.kernels.steering.driven_disc` then gives the pose afterwards, y(z). `BlockLearner`
+minimizes
 
     |S^-1/2 (z - z0)|² + sum over decisions huber(|y(z) - observed| / sigma)
 
@@ -18,9 +19,9 @@ import numpy as np
 from shapely import Point
 
 from gridpush_drake.bench.pusht.sliding_block import BlockEstimate, SlidingBlock
-from gridpush_drake.dynamics.kernels.driven_disc import (
+from gridpush_drake.dynamics.kernels.steering.driven_disc import (
     PX,
-    STATE,
+    STATE_SIZE,
     THETA,
     VX,
     X,
@@ -38,7 +39,7 @@ class BlockLearnerOptions:
 
     Attributes:
         center_std: standard deviation of the center along each axis, in radii of gyration.
-        log_arm_std: standard deviation of the arm's logarithm.
+        log_gyration_radius_std: standard deviation of the arm's logarithm.
         noise: standard deviation of an observed pose, in radii of gyration.
         memory: decisions that are remembered; those that moved the block least are forgotten first.
         iterations: steps of the method after each decision.
@@ -47,7 +48,7 @@ class BlockLearnerOptions:
     """
 
     center_std: float = 0.35
-    log_arm_std: float = 0.3
+    log_gyration_radius_std: float = 0.3
     noise: float = 1e-3
     memory: int = 24
     iterations: int = 6
@@ -56,7 +57,7 @@ class BlockLearnerOptions:
 
 
 FIRST_DAMPING = 1e-3
-"""Damping that Levenberg-Marquardt's method begins with, as a share of the diagonal."""
+"""Damping that Levenberg-Marquardt's method begins with, as a fraction of the diagonal."""
 
 DAMPING_FACTOR = 8.0
 """By how much the damping grows after a bad step, and falls after a good one."""
@@ -92,11 +93,11 @@ class BlockLearner:
         self.estimate = block.even_estimate
         unit = block.gyration_radius
         center_std = self.options.center_std * unit
-        self._prior_std = np.array([center_std, center_std, self.options.log_arm_std])
+        self._prior_std = np.array([center_std, center_std, self.options.log_gyration_radius_std])
         self._prior_mean = _to_unknowns(self.estimate)
         self._scale = np.array([unit, unit, 1.0])
         self.covariance = np.diag(self._prior_std**2)
-        self._states = np.empty((0, STATE))
+        self._states = np.empty((0, STATE_SIZE))
         self._targets = np.empty((0, 2))
         self._poses = np.empty((0, 3))
         self._motions = np.empty(0)
@@ -123,7 +124,7 @@ class BlockLearner:
             return False
         if self._is_inside(disc[:2], pose):
             return False
-        state = np.zeros(STATE)
+        state = np.zeros(STATE_SIZE)
         state[PX : VX + 2] = disc
         state[X : THETA + 1] = pose
         # the pose afterwards, with an angle that does not jump

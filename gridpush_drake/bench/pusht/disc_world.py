@@ -4,7 +4,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.bench.pusht.sliding_block import BlockEstimate, SlidingBlock
-from gridpush_drake.dynamics.kernels.driven_disc import PX, STATE, THETA, VX, X, advance
+from gridpush_drake.dynamics.kernels.steering.driven_disc import (
+    PX,
+    STATE_SIZE,
+    THETA,
+    VX,
+    X,
+    advance,
+)
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, transform_shape
 
@@ -38,7 +45,7 @@ class DiscWorld:
         self.block = block
         self.truth = truth
         self._record = block.make_record(truth)
-        self._state = np.zeros(STATE)
+        self._state = np.zeros(STATE_SIZE)
         self._state[PX : PX + 2] = check_vector(PlanningError, "disc", disc, 2)
         self.put(pose)
 
@@ -75,7 +82,7 @@ class DiscWorld:
         return bool(advance(self._record, self._state, wanted) > 0)
 
     def calc_coverage(self, goal: ArrayLike) -> float:
-        """Calculates the share of a goal (3,) that the block covers."""
+        """Calculates the fraction of a goal (3,) that the block covers."""
         there = transform_shape(goal, self.block.outline)
         here = transform_shape(self.pose, self.block.outline)
         return float(there.intersection(here).area / there.area)

@@ -28,15 +28,16 @@ from gridpush_drake.bench.pusht.sliding_block import DrivenDisc, SlidingBlock
 from gridpush_drake.bench.pusht.strokes import (
     PLAYERS,
     STROKES_TASK,
-    StrokeEpisode,
+    PrimitiveEpisode,
     tabulate_strokes,
 )
-from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
-from gridpush_drake.bench.table import MS, Share, Table, Value
+from gridpush_drake.bench.study import Done, JobKind, Study, StudyOptions, option
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.report.table import Proportion, Table, Value
+from gridpush_drake.units import MS_PER_S
 
 ENVIRONMENT = "gym_pusht/PushT-v0"
 
@@ -62,8 +63,8 @@ SLOP = 0.1
 """Overlap that pymunk leaves uncorrected by default, px."""
 
 CORRECTION = 1.0 - 0.9**0.6
-"""Share of the overlap beyond it that pymunk corrects in a time step by default: 1 - (1 - 0.1)^(60
-dt)."""
+"""Fraction of the overlap beyond it that pymunk corrects in a time step by default: 1 - (1 -
+0.1)^(60 dt)."""
 
 CENTER = (0.0, 45.0)
 """The T's center of friction in the standard variant, body frame, px. Only the hidden variant's
@@ -155,7 +156,7 @@ class PushTPlayer:
     def __init__(self, seed: int = 0) -> None:
         """Begins an episode; the seed is the search's."""
         # an episode has nothing to lose: it is never given up
-        options = FeedbackOptions(success=SUCCESS, surprises=MAX_STEPS)
+        options = FeedbackOptions(success=SUCCESS, innovations=MAX_STEPS)
         self.controller = FeedbackController(make_block(), GOAL, options=options, seed=seed)
 
     def act(self, observation: Array) -> Array:
@@ -198,7 +199,7 @@ def shorten(options: Options) -> Options:
     return replace(options, episodes=min(options.episodes, QUICK_EPISODES))
 
 
-def make_jobs(options: Options) -> list[Episode | StrokeEpisode]:
+def make_jobs(options: Options) -> list[Episode | PrimitiveEpisode]:
     """Makes the episodes.
 
     Raises:
@@ -213,7 +214,7 @@ def make_jobs(options: Options) -> list[Episode | StrokeEpisode]:
     if options.strokes:
         import_extra("gymnasium", "pusht")
         return [
-            StrokeEpisode(options.seed + i, player)
+            PrimitiveEpisode(options.seed + i, player)
             for i in range(options.episodes)
             for player in PLAYERS
         ]
@@ -368,7 +369,7 @@ def summarize(played: Sequence[Played]) -> dict[str, float]:
             np.mean([min(each.max_coverage / SUCCESS, 1.0) for each in played])
         ),
         "median_steps": float(np.median([each.steps for each in played])),
-        "decision_ms": MS * float(np.mean([each.decision_time for each in played])),
+        "decision_ms": MS_PER_S * float(np.mean([each.decision_time for each in played])),
     }
 
 
@@ -385,13 +386,13 @@ def tabulate(options: Options, done: Done) -> list[Table]:
 def tabulate_episodes(played: Sequence[Played], seed: int, hidden: bool) -> Table:
     """Tabulates episodes, the first of which was seeded `seed`."""
     figures = summarize(played)
-    share = Share.of(sum(each.success for each in played), len(played))
+    fraction = Proportion.of(sum(each.success for each in played), len(played))
     coverages = [each.max_coverage for each in played]
     steps = [each.steps for each in played]
     spread = float(np.std(coverages, ddof=1) / np.sqrt(len(played))) if len(played) > 1 else 0.0
     rows: list[tuple[str, Value]] = [
         ("episodes", len(played)),
-        ("won, with the 95 % interval", share.describe()),
+        ("won, with the 95 % interval", fraction.describe()),
         (
             "mean greatest coverage, and its standard error",
             f"{np.mean(coverages):.4f} ± {spread:.4f}",
@@ -402,7 +403,7 @@ def tabulate_episodes(played: Sequence[Played], seed: int, hidden: bool) -> Tabl
         ("90 % of the episodes took at most, decisions", float(np.quantile(steps, 0.9))),
         ("longest episode, decisions", max(steps)),
         ("a decision, mean, ms", figures["decision_ms"]),
-        ("slowest decision, ms", MS * max(each.slowest for each in played)),
+        ("slowest decision, ms", MS_PER_S * max(each.slowest for each in played)),
         (
             "true center of friction from the standard one, mean, px",
             float(np.mean([each.offset for each in played])),
@@ -423,7 +424,7 @@ def tabulate_episodes(played: Sequence[Played], seed: int, hidden: bool) -> Tabl
     return Table(f"PushT, {variant}", ("what", "value"), rows, notes, digits=4, figures=figures)
 
 
-TASK = Task(job=Episode, run=play, describe=Episode.describe)
+TASK = JobKind(job=Episode, run=play, describe=Episode.describe)
 """What is done with an episode."""
 
 STUDY = Study(

@@ -1,8 +1,9 @@
 """Steers a disc that pushes a block to a goal, by what is seen every tenth of a second.
 
 At each decision the controller takes in the disc's position and the block's pose, learns the block
-from how it moved since the last decision (`block_learner`), and improves its plan (`stroke_search`)
-for the block as it is now known. It does the plan's first target and looks again.
+from how it moved since the last decision (`block_learner`), and improves its plan
+(`primitive_search`) for the block as it is now known. It does the plan's first target and looks
+again.
 
 What the search's cost-to-go promises may be more than any plan can do: then standing still would
 look best for ever. Where no plan costs less than standing still, decisions are counted for less, by
@@ -20,15 +21,15 @@ from numpy.typing import ArrayLike
 from gridpush_drake.bench.pusht.block_learner import BlockLearner, BlockLearnerOptions
 from gridpush_drake.bench.pusht.sliding_block import SlidingBlock
 from gridpush_drake.bench.pusht.stroke_search import Candidates, Task, search
-from gridpush_drake.dynamics.kernels.driven_disc import PX, STATE, THETA, VX, X
-from gridpush_drake.dynamics.kernels.plan_search import (
+from gridpush_drake.dynamics.kernels.steering.driven_disc import PX, STATE_SIZE, THETA, VX, X
+from gridpush_drake.dynamics.kernels.steering.plan_search import (
     ANGLE,
     BEND,
-    CHANGE,
+    CHANGE_SIZE,
     LENGTH,
     PLACE,
+    PRIMITIVE_SIZE,
     ROUND,
-    STROKE,
     WALK,
     Plan,
 )
@@ -53,12 +54,12 @@ class FeedbackOptions:
         base: cost-to-go of a pose next to the goal, which is not reached.
         per_root: cost-to-go for the square root of the distance from the goal, in radii of
             gyration.
-        per_coverage: cost of the share of the goal that is not covered at the end.
+        per_coverage: cost of the fraction of the goal that is not covered at the end.
         attempts: searches in one decision, each of which counts decisions half as much.
         missing: decisions in a row without a pose, during which the plan is carried on.
         surprise: distance of a pose from its prediction that tells of another model, in radii of
             gyration.
-        surprises: decisions in a row with such a distance, after which the disc rests.
+        innovations: decisions in a row with such a distance, after which the disc rests.
     """
 
     success: float = 0.95
@@ -71,7 +72,7 @@ class FeedbackOptions:
     attempts: int = 5
     missing: int = 2
     surprise: float = 0.5
-    surprises: int = 8
+    innovations: int = 8
 
     def __post_init__(self) -> None:
         for name in ("strokes", "changes", "horizon", "attempts", "surprises"):
@@ -97,10 +98,10 @@ GAINS = (1.0, 2.5)
 """Least and greatest gain on the way to a stroke's begin."""
 
 AT_ONCE = 0.15
-"""Share of the strokes that push at once, from where the disc is."""
+"""Fraction of the strokes that push at once, from where the disc is."""
 
 FROM_NOW = 0.4
-"""Share of the strokes that replace the whole plan; the others keep some of its beginning."""
+"""Fraction of the strokes that replace the whole plan; the others keep some of its beginning."""
 
 CHANGE_SIZES = (0.02, 1.7)
 """Least and greatest standard deviation of a change of targets, in the disc's radii."""
@@ -160,12 +161,12 @@ class FeedbackController:
         self.learner = BlockLearner(block, learning)
         self._rng = np.random.default_rng(seed)
         self._plan = np.zeros((self.options.horizon, 2))
-        self._states = np.zeros((self.options.horizon + 1, STATE))
+        self._states = np.zeros((self.options.horizon + 1, STATE_SIZE))
         self._length = 0
         self._per_decision = 1.0
         self._velocity = np.zeros(2)
         self._missing = 0
-        self._surprises = 0
+        self._innovations = 0
         self._last_disc: Array | None = None
         self._last_pose: Array | None = None
         self._last_target = np.zeros(2)
@@ -187,7 +188,7 @@ class FeedbackController:
             return self._go_without_pose(position)
         self._missing = 0
         self._learn(position, seen)
-        if self._surprises >= self.options.surprises:
+        if self._innovations >= self.options.innovations:
             return self._rest(position, "unlike_model", "the block moves unlike the model of it")
         self._search(position, seen)
         return self._do_first(position, seen)
@@ -208,9 +209,9 @@ class FeedbackController:
         unit = self.block.gyration_radius
         distance = float(np.hypot(np.hypot(off[0], off[1]), unit * wrap_angle(off[2])))
         if distance > self.options.surprise * unit:
-            self._surprises += 1
+            self._innovations += 1
         else:
-            self._surprises = 0
+            self._innovations = 0
         self.learner.add(self._last_disc, self._last_pose, self._last_target, pose)
 
     def _search(self, position: Array, pose: Array) -> None:
@@ -295,7 +296,7 @@ class FeedbackController:
         rng = self._rng
         count = self.options.strokes
         radius = self.block.disc.radius
-        strokes = np.empty((count, STROKE))
+        strokes = np.empty((count, PRIMITIVE_SIZE))
         strokes[:, PLACE] = rng.uniform(0.0, 1.0, count)
         strokes[:, ANGLE] = rng.uniform(*ANGLES, count)
         strokes[:, LENGTH] = radius * draw_log_uniform(rng, LEADS, count)
@@ -308,6 +309,6 @@ class FeedbackController:
         # later cuts are more often useful: a plan's beginning is good already
         cuts = np.sqrt(rng.random(count))
         cuts[rng.random(count) < FROM_NOW] = 0.0
-        changes = rng.standard_normal((self.options.changes, CHANGE))
+        changes = rng.standard_normal((self.options.changes, CHANGE_SIZE))
         sizes = radius * draw_log_uniform(rng, CHANGE_SIZES, self.options.changes)
         return Candidates(strokes=strokes, cuts=cuts, changes=changes, scales=sizes)

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely import Polygon, unary_union
 
-from gridpush_drake.dynamics.kernels.driven_disc import Block
-from gridpush_drake.dynamics.kernels.walk_round import Ways
+from gridpush_drake.dynamics.kernels.contact.walk_round import OutlinePath
+from gridpush_drake.dynamics.kernels.steering.driven_disc import Block
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.planning.feedback.ways import make_ways
+from gridpush_drake.planning.feedback.ways import make_outline_path
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class SlidingBlock:
         disc: the disc that pushes it.
         walls: (4,) low x, low y, high x and high y, between which the block's corners are held.
         slop: overlap of disc and block that is not corrected.
-        correction: share of the overlap beyond that which is corrected in a time step.
+        correction: fraction of the overlap beyond that which is corrected in a time step.
 
     Raises:
         PlanningError: there is no part, or one is not convex, or the parts are not joined.
@@ -114,7 +114,7 @@ class SlidingBlock:
             if not shape.area >= (1 - 1e-9) * shape.convex_hull.area > 0:
                 raise PlanningError(f"parts: one is not convex; {expected}")
         if not isinstance(unary_union(shapes), Polygon):
-            raise PlanningError("parts: they are apart; expected parts that share edges")
+            raise PlanningError("parts: they are apart; expected parts that fraction edges")
         turned = [
             part if shape.exterior.is_ccw else part[::-1]
             for part, shape in zip(corners, shapes, strict=True)
@@ -154,9 +154,9 @@ class SlidingBlock:
         )
 
     @cached_property
-    def ways(self) -> Ways:
+    def ways(self) -> OutlinePath:
         """Where the disc can touch, and how it gets round the block, as the kernels take it."""
-        return make_ways(self.outline, self.disc.radius)
+        return make_outline_path(self.outline, self.disc.radius)
 
     def make_record(self, estimate: BlockEstimate) -> Block:
         """Makes the record that the kernels take."""

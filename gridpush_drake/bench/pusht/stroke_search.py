@@ -3,7 +3,7 @@
 A plan is a sequence of targets of the disc, one a decision. A candidate is made from the best plan
 known by replacing its end with a *stroke* (go round the block to a place of its outline, and push
 there), or by shifting some of its targets a little. Each candidate is simulated with the law of
-`dynamics.kernels.driven_disc`, and cut where its cost
+`dynamics.kernels.steering.driven_disc`, and cut where its cost
 
     J = per_decision · (decisions made) + (cost-to-go of the pose then)
 
@@ -11,7 +11,7 @@ is least. The cost-to-go is per_coverage · (1 - coverage) once the goal is reac
 episode ends, and base + per_root · (distance from the goal)^1/2 elsewhere. A stroke's LENGTH is how
 far the target leads the disc while it pushes; WALK is how many times as far away as the next point
 of the way round the target is set. What this search shares with `push_search` is in
-`dynamics.kernels.plan_search`.
+`dynamics.kernels.steering.plan_search`.
 
 `docs/theory/feedback.md` has the equations, and `feedback_controller` the choice of the candidates.
 """
@@ -22,23 +22,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.driven_disc import (
-    CONTACT,
+from gridpush_drake.dynamics.kernels.steering.driven_disc import (
+    CONTACT_SIZE,
     MAX_CONTACTS,
     PX,
     PY,
-    STATE,
+    STATE_SIZE,
     THETA,
     X,
     Y,
     advance_disc,
     set_velocity,
 )
-from gridpush_drake.dynamics.kernels.plan_search import (
+from gridpush_drake.dynamics.kernels.steering.plan_search import (
     BEND,
     LENGTH,
     WALK,
-    aim_stroke,
+    aim_primitive,
     begin_window,
     find_cut,
     keep_plan,
@@ -118,9 +118,9 @@ def _clip_area(parts, first, c, s, x, y, second, room):
                 room[there, kept, 1] = qy
                 kept += 1
             if (q >= 0.0) != (r >= 0.0):
-                share = q / (q - r)
-                room[there, kept, 0] = qx + share * (rx - qx)
-                room[there, kept, 1] = qy + share * (ry - qy)
+                fraction = q / (q - r)
+                room[there, kept, 0] = qx + fraction * (rx - qx)
+                room[there, kept, 1] = qy + fraction * (ry - qy)
                 kept += 1
         size = kept
         here = there
@@ -135,7 +135,7 @@ def _clip_area(parts, first, c, s, x, y, second, room):
 
 @kernel(allocates=False)
 def _calc_coverage(block, task, x, y, theta, room):
-    """Share of the goal that the block covers at a pose."""
+    """Fraction of the goal that the block covers at a pose."""
     # the block's pose in the goal's frame
     c = cos(task.goal[2])
     s = sin(task.goal[2])
@@ -154,7 +154,7 @@ def _calc_coverage(block, task, x, y, theta, room):
 
 @kernel()
 def calc_coverage(block, task, pose):
-    """Share of the goal that the block covers at a pose (3,)."""
+    """Fraction of the goal that the block covers at a pose (3,)."""
     room = np.empty((2, 2 * block.parts.shape[1] + 2, 2))
     return _calc_coverage(block, task, pose[0], pose[1], pose[2], room)
 
@@ -189,7 +189,7 @@ class Candidates(NamedTuple):
 
     Attributes:
         strokes: (N, STROKE) strokes, N at least 1.
-        cuts: (N,) share of the plan, 0 to 1, that is kept before each of them.
+        cuts: (N,) fraction of the plan, 0 to 1, that is kept before each of them.
         changes: (K, CHANGE) shifts of targets.
         scales: (K,) their sizes.
     """
@@ -204,11 +204,11 @@ class Room(NamedTuple):
     """Memory of the search.
 
     Attributes:
-        contacts: (MAX_CONTACTS, CONTACT) of `set_velocity`.
+        contacts: (MAX_CONTACTS, CONTACT_SIZE) of `set_velocity`.
         nearest: (2,) likewise.
         clip: (2, C, 2) of `_clip_area`.
         targets: (T, 2) targets of the candidate.
-        states: (T + 1, STATE) its states.
+        states: (T + 1, STATE_SIZE) its states.
     """
 
     contacts: Any
@@ -224,7 +224,7 @@ def _step_candidate(block, task, room, k):
 
     Returns its cost if it ended then, and whether the episode is over.
     """
-    for i in range(STATE):
+    for i in range(STATE_SIZE):
         room.states[k + 1, i] = room.states[k, i]
     state = room.states[k + 1]
     room.targets[k, 0] = min(max(room.targets[k, 0], task.low), task.high)
@@ -253,11 +253,11 @@ def _roll_plan(block, task, room, first, length):
 
 
 @kernel(allocates=False)
-def _roll_stroke(block, task, ways, room, first, limit, stroke):
+def _roll_primitive(block, task, ways, room, first, limit, primitive):
     """Makes a stroke from `first` on, and fills its targets; returns as `_roll_plan`."""
     best = np.inf
     end = first
-    aim = aim_stroke(ways, stroke)
+    aim = aim_primitive(ways, primitive)
     pushing = aim.pushing
     heading = aim.heading
     pushed = 0
@@ -267,17 +267,17 @@ def _roll_stroke(block, task, ways, room, first, limit, stroke):
         py = state[PY]
         if not pushing:
             pushing = walk_to_aim(
-                ways, stroke, aim, state[X], state[Y], state[THETA], px, py, room.nearest
+                ways, primitive, aim, state[X], state[Y], state[THETA], px, py, room.nearest
             )
         if not pushing:
             # on the way round: the target lies beyond the next point, so that the disc is fast
-            room.targets[k, 0] = px + stroke[WALK] * (room.nearest[0] - px)
-            room.targets[k, 1] = py + stroke[WALK] * (room.nearest[1] - py)
+            room.targets[k, 0] = px + primitive[WALK] * (room.nearest[0] - px)
+            room.targets[k, 1] = py + primitive[WALK] * (room.nearest[1] - py)
         else:
             angle = state[THETA] + heading
-            room.targets[k, 0] = px + stroke[LENGTH] * cos(angle)
-            room.targets[k, 1] = py + stroke[LENGTH] * sin(angle)
-            heading += stroke[BEND]
+            room.targets[k, 0] = px + primitive[LENGTH] * cos(angle)
+            room.targets[k, 1] = py + primitive[LENGTH] * sin(angle)
+            heading += primitive[BEND]
             pushed += 1
         cost, over = _step_candidate(block, task, room, k)
         if cost < best:
@@ -326,11 +326,11 @@ def search(block, task, ways, plan, length, candidates):
     """
     limit = plan.targets.shape[0]
     room = Room(
-        contacts=np.empty((MAX_CONTACTS, CONTACT)),
+        contacts=np.empty((MAX_CONTACTS, CONTACT_SIZE)),
         nearest=np.empty(2),
         clip=np.empty((2, 2 * block.parts.shape[1] + 2, 2)),
         targets=np.empty((limit, 2)),
-        states=np.empty((limit + 1, STATE)),
+        states=np.empty((limit + 1, STATE_SIZE)),
     )
     set_velocity(block, plan.states[0], room.contacts, room.nearest)
     to_go, _ = _rate(block, task, plan.states[0], room.clip)
@@ -345,7 +345,7 @@ def search(block, task, ways, plan, length, candidates):
     for n in range(candidates.strokes.shape[0]):
         first = find_cut(candidates.cuts[n], length, limit)
         take_plan(room, plan, first, first)
-        cost, end = _roll_stroke(block, task, ways, room, first, limit, candidates.strokes[n])
+        cost, end = _roll_primitive(block, task, ways, room, first, limit, candidates.strokes[n])
         if cost < best:
             best = cost
             keep_plan(room, plan, first, end)

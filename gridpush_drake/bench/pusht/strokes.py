@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import bootstrap
 
-from gridpush_drake.bench.protocol import hide_parts, know_friction
-from gridpush_drake.bench.study import Task
-from gridpush_drake.bench.table import CONFIDENCE, MM, Mean, Share, Table, Value
+from gridpush_drake.bench.data.protocol import hide_parts, know_friction
+from gridpush_drake.bench.study import JobKind
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.identification.learning import identify
@@ -26,6 +25,8 @@ from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.loop_run import Learner
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.table import INTERVAL_CONFIDENCE, Mean, Proportion, Table, Value
+from gridpush_drake.units import MM_PER_M
 
 LEARNED = "learned"
 """Name of the player whose model is learned from the pokes and from each stroke."""
@@ -47,7 +48,7 @@ RESAMPLES = 2000
 
 
 @dataclass(frozen=True)
-class StrokeEpisode:
+class PrimitiveEpisode:
     """An episode to play.
 
     Attributes:
@@ -72,7 +73,7 @@ class StrokesPlayed:
         seed: of the environment.
         reached: whether the T came within the game's tolerance.
         error: mean distance of the cells from where they are at the goal, m.
-        coverage: share of the goal that the T covers.
+        coverage: fraction of the goal that the T covers.
         strokes: number of strokes.
         prediction_error: mean cell error of the strokes' predicted ends, m.
     """
@@ -109,13 +110,13 @@ class PokesAndStrokes(Learner):
         )
 
 
-def play_strokes(job: StrokeEpisode) -> StrokesPlayed:
+def play_strokes(job: PrimitiveEpisode) -> StrokesPlayed:
     """Plays one episode."""
     # gymnasium is an extra, which whoever lists the benches may lack
     import_extra("gymnasium", "pusht")
     from gridpush_drake.gym import EnvironmentWorld, PushEnvironment
     from gridpush_drake.gym.episode import FRICTION_RANGE
-    from gridpush_drake.gym.known_shape import FINGER
+    from gridpush_drake.gym.known_shape import FINGER_OPTIONS
 
     world = EnvironmentWorld(PushEnvironment("PushTHidden"), job.seed)
     episode = world.episode
@@ -131,8 +132,8 @@ def play_strokes(job: StrokeEpisode) -> StrokesPlayed:
         params = episode.hidden
     game = world.env.game
     rules = GoalRules(
-        PushConstraints(game.surface, finger_inset=-FINGER.distance_range[1]),
-        FINGER,
+        PushConstraints(game.surface, finger_inset=-FINGER_OPTIONS.distance_range[1]),
+        FINGER_OPTIONS,
         horizon=2,
         robustness=None,
         tolerance=TOLERANCE,
@@ -152,7 +153,7 @@ def play_strokes(job: StrokeEpisode) -> StrokesPlayed:
 
 
 def calc_coverage(obj: GridObject, pose: Array, goal: Array) -> float:
-    """Share of the goal (3,) that an object covers at a pose (3,)."""
+    """Fraction of the goal (3,) that an object covers at a pose (3,)."""
     wanted = transform_shape(goal, obj.outline)
     return float(wanted.intersection(transform_shape(pose, obj.outline)).area / wanted.area)
 
@@ -164,16 +165,16 @@ def tabulate_strokes(played: Sequence[StrokesPlayed]) -> Table:
         own = [each for each in played if each.player == player]
         if not own:
             continue
-        reached = Share.of(sum(each.reached for each in own), len(own))
+        reached = Proportion.of(sum(each.reached for each in own), len(own))
         rows.append(
             [
                 player,
                 len(own),
                 reached.describe(),
                 calc_interval([each.strokes for each in own]),
-                calc_interval([MM * each.error for each in own]),
+                calc_interval([MM_PER_M * each.error for each in own]),
                 calc_interval([each.coverage for each in own]),
-                calc_interval([MM * each.prediction_error for each in own]),
+                calc_interval([MM_PER_M * each.prediction_error for each in own]),
             ]
         )
     columns = (
@@ -192,7 +193,7 @@ def tabulate_strokes(played: Sequence[StrokesPlayed]) -> Table:
     ]
     pairs = _pair(played)
     if len(pairs) > 1:
-        gain = calc_interval([MM * (even.error - learned.error) for learned, even in pairs])
+        gain = calc_interval([MM_PER_M * (even.error - learned.error) for learned, even in pairs])
         notes.append(
             f"Learned against even, episode by episode: {gain.describe()} mm of final cell error "
             "less."
@@ -209,7 +210,7 @@ def calc_interval(values: Sequence[float]) -> Mean:
         (np.array(values),),
         np.mean,
         n_resamples=RESAMPLES,
-        confidence_level=CONFIDENCE,
+        confidence_level=INTERVAL_CONFIDENCE,
         method="percentile",
         rng=np.random.default_rng(0),
     ).confidence_interval
@@ -229,5 +230,5 @@ def _pair(
     ]
 
 
-STROKES_TASK = Task(job=StrokeEpisode, run=play_strokes, describe=StrokeEpisode.describe)
+STROKES_TASK = JobKind(job=PrimitiveEpisode, run=play_strokes, describe=PrimitiveEpisode.describe)
 """What is done with an episode."""

@@ -14,9 +14,9 @@ import numpy as np
 
 from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
 from gridpush_drake.bench.truth.sets import (
-    CLEARANCE,
     DESIGNED_PUSHES,
-    DISTANCE,
+    PUSH_LENGTH,
+    PUSHER_CLEARANCE,
     SPEED_RANGE,
     TruthSet,
     draw_world,
@@ -31,16 +31,16 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-HERE = np.zeros(3)
+BODY_POSE = np.zeros(3)
 """Pose in which the body is put down before each push, m and rad: the middle of the table."""
 
-SEPARATIONS = (PokeOptions().min_separation, PokeOptions().min_separation / 2, 0.0)
-"""Shares of the outline's length by which a push begins away from all pushes before it. The first
-one is asked for; where no such place is left, the next one."""
+PUSH_SEPARATIONS = (PokeOptions().min_separation, PokeOptions().min_separation / 2, 0.0)
+"""Fractions of the outline's length by which a push begins away from all pushes before it. The
+first one is asked for; where no such place is left, the next one."""
 
 SAME_LOADS = 1e-3
 """Greatest difference of the loads of a body that is made anew from those that were written of it,
-as a share of its weight."""
+as a fraction of its weight."""
 
 
 def choose_pushes(made: TruthSet, world: MujocoWorld, count: int) -> PushLog:
@@ -64,7 +64,7 @@ def choose_pushes(made: TruthSet, world: MujocoWorld, count: int) -> PushLog:
     seen = list[ObservedPush]()
     while len(seen) < count:
         push = _choose_push(model, world.radius)
-        world.put(HERE)
+        world.put(BODY_POSE)
         seen.append(replace(world.execute(push), name=f"push_{len(seen) + 1}"))
         if len(seen) < count:
             log = PushLog(tuple(seen))
@@ -75,13 +75,13 @@ def choose_pushes(made: TruthSet, world: MujocoWorld, count: int) -> PushLog:
 
 def _choose_push(model: UncertainModel, radius: float) -> Push:
     """Chooses the push that is expected to tell most, by a disc of a radius, m."""
-    for separation in SEPARATIONS:
+    for separation in PUSH_SEPARATIONS:
         options = PokeOptions(
-            Pusher(radius, float(np.mean(SPEED_RANGE)), CLEARANCE),
-            distance=DISTANCE,
+            Pusher(radius, float(np.mean(SPEED_RANGE)), PUSHER_CLEARANCE),
+            distance=PUSH_LENGTH,
             min_separation=separation,
         )
-        push = DesignedPokes(options).propose(model, HERE, PushConstraints()).push
+        push = DesignedPokes(options).propose(model, BODY_POSE, PushConstraints()).push
         if push is not None:
             return push
     raise GridPushError(f"{model.obj.name}: no push is predicted to move it; expected some")

@@ -17,59 +17,66 @@ from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench.jobs import check_known
-from gridpush_drake.bench.protocol import MASS_SETS, make_case, make_protocol
-from gridpush_drake.bench.real_logs import find_push_logs, name_logs
-from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
-from gridpush_drake.bench.table import MM, PERCENT, Mean, Table, Value
+from gridpush_drake.bench.data.protocol import MASS_SETS, make_case, make_protocol
+from gridpush_drake.bench.data.real_logs import find_push_logs, name_logs
+from gridpush_drake.bench.study import Done, JobKind, Study, StudyOptions, option
 from gridpush_drake.bench.truth.learning import CHI_SQUARE, calc_center_region
-from gridpush_drake.bench.truth.random_bodies import KINDS as RANDOM_KINDS
+from gridpush_drake.bench.truth.random_bodies import BODY_DRAWERS as RANDOM_KINDS
 from gridpush_drake.bench.truth.random_bodies import draw_body
-from gridpush_drake.bench.truth.sets import FOUNDATION, OUTLINES, THREE_FEET, VERTICES, make_set
+from gridpush_drake.bench.truth.sets import (
+    FOUNDATION_KIND,
+    OUTLINE_NAMES,
+    THREE_FEET,
+    VERTICES_KIND,
+    make_set,
+)
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.hypotheses import DEFAULT_HYPOTHESES
+from gridpush_drake.identification.fit.hypotheses import DEFAULT_HYPOTHESES
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.jobs.run import check_known
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers import find_importer
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.table import Mean, Table, Value
+from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
 
-PAPER = "paper"
+PAPER_KIND = "paper"
 """Kind of a shipped object in the paper's simulated protocol."""
 
-LOGS = "logs"
+LOGS_KIND = "logs"
 """Kind of all real logs; each log is a row by itself."""
 
-MUJOCO_KINDS = (FOUNDATION, VERTICES, THREE_FEET)
+MUJOCO_KINDS = (FOUNDATION_KIND, VERTICES_KIND, THREE_FEET)
 """Kinds of bodies that MuJoCo pushes."""
 
-KINDS = (*RANDOM_KINDS, *MUJOCO_KINDS, PAPER, LOGS)
+BODY_KINDS = (*RANDOM_KINDS, *MUJOCO_KINDS, PAPER_KIND, LOGS_KIND)
 """All kinds, in the order of the table."""
 
-ALL = "all"
+ALL_HYPOTHESES = "all"
 """Name of the set of all hypotheses."""
 
-FIELDS = "smooth fields alone"
+SMOOTH_FIELDS = "smooth fields alone"
 """Name of the set of the smooth fields, without any other hypothesis."""
 
-WITHOUT = "without "
+WITHOUT_PREFIX = "without "
 """What the name of a set begins with that lacks one hypothesis."""
 
-UNIFORM = "even object"
+EVEN_MODEL = "even object"
 """Name of the model of which nothing was learned."""
 
-BODIES = 20
+DEFAULT_BODY_COUNT = 20
 """Number of bodies of each kind by default."""
 
 QUICK_BODIES = 1
 """Number of bodies of each kind in the quick variant."""
 
-PUSHES = 5
+DEFAULT_PUSH_COUNT = 5
 """Number of pushes to learn from by default."""
 
 HELD_OUT = 10
@@ -85,17 +92,17 @@ REPORTED_SEED = 1000
 def make_sets() -> dict[str, MapEnsemble]:
     """Makes the sets of hypotheses that are compared, by name."""
     others = [one for one in DEFAULT_HYPOTHESES if not one.name.startswith("smooth field")]
-    sets = {ALL: MapEnsemble()}
+    sets = {ALL_HYPOTHESES: MapEnsemble()}
     for left_out in others:
         rest = tuple(one for one in DEFAULT_HYPOTHESES if one is not left_out)
-        sets[f"{WITHOUT}{left_out.name}"] = MapEnsemble(hypotheses=rest)
+        sets[f"{WITHOUT_PREFIX}{left_out.name}"] = MapEnsemble(hypotheses=rest)
     fields = tuple(one for one in DEFAULT_HYPOTHESES if one not in others)
-    sets[FIELDS] = MapEnsemble(hypotheses=fields)
+    sets[SMOOTH_FIELDS] = MapEnsemble(hypotheses=fields)
     return sets
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class HypothesisBenchOptions(StudyOptions):
     """What is measured.
 
     Attributes:
@@ -110,13 +117,15 @@ class Options(StudyOptions):
     seed: int = REPORTED_SEED
     kinds: tuple[str, ...] | None = option(
         None,
-        f"{', '.join(KINDS[:-1])} or {KINDS[-1]}; may be repeated.",
+        f"{', '.join(BODY_KINDS[:-1])} or {BODY_KINDS[-1]}; may be repeated.",
         name="--kind",
         metavar="KIND",
         shown="all; logs with --data",
     )
-    bodies: int = option(BODIES, "Bodies of each kind, and divisions of each real log.", least=1)
-    pushes: int = option(PUSHES, "How many pushes to learn from.", least=1)
+    bodies: int = option(
+        DEFAULT_BODY_COUNT, "Bodies of each kind, and divisions of each real log.", least=1
+    )
+    pushes: int = option(DEFAULT_PUSH_COUNT, "How many pushes to learn from.", least=1)
     data: Path | None = option(
         None,
         "Real pushes: a clone of GitHub robinzhoucmu/MLab_EXP or "
@@ -130,19 +139,19 @@ class Options(StudyOptions):
         """The kinds that are measured."""
         if self.kinds is not None:
             return self.kinds
-        return KINDS if self.data is not None else KINDS[:-1]
+        return BODY_KINDS if self.data is not None else BODY_KINDS[:-1]
 
 
 @dataclass(frozen=True)
-class Job:
+class HypothesisJob:
     """One body, learned with each set of hypotheses.
 
     Attributes:
-        kind: one of KINDS.
+        kind: one of BODY_KINDS.
         seed: seed of the body, or of the division of a log.
         pushes: number of pushes to learn from.
         path: file of a real log.
-        log_kind: kind of this log, as `bench.real_logs` has it.
+        log_kind: kind of this log, as `bench.data.real_logs` has it.
         name: name of this log.
     """
 
@@ -161,7 +170,7 @@ class HypothesisScore:
     Attributes:
         kind: kind of the body, or name of the real log.
         seed: seed of the body.
-        hypotheses: name of the set, or UNIFORM.
+        hypotheses: name of the set, or EVEN_MODEL.
         error: mean final cell error of the held-out pushes, m.
         covered: whether the true center of friction is within the 95 % region; None where it is
             not known, or nothing was learned.
@@ -174,12 +183,12 @@ class HypothesisScore:
     covered: bool | None = None
 
 
-def shorten(options: Options) -> Options:
+def shorten(options: HypothesisBenchOptions) -> HypothesisBenchOptions:
     """Makes the options of the quick variant."""
     return replace(options, bodies=min(options.bodies, QUICK_BODIES))
 
 
-def make_jobs(options: Options) -> list[Job]:
+def make_jobs(options: HypothesisBenchOptions) -> list[HypothesisJob]:
     """Makes a job for each body and each division of a log.
 
     Raises:
@@ -187,8 +196,8 @@ def make_jobs(options: Options) -> list[Job]:
         MissingExtraError: a body in MuJoCo is asked for, and MuJoCo is not installed.
     """
     kinds = options.chosen_kinds
-    check_known("kind", kinds, KINDS)
-    if LOGS in kinds and options.data is None:
+    check_known("kind", kinds, BODY_KINDS)
+    if LOGS_KIND in kinds and options.data is None:
         raise GridPushError("kind: logs; expected --data DIR with it")
     if options.bodies < 1 or not 1 <= options.pushes <= HELD_OUT - 1:
         raise GridPushError(
@@ -200,14 +209,14 @@ def make_jobs(options: Options) -> list[Job]:
     logs = [] if options.data is None else _find_logs(options.data.resolve())
     seeds = range(options.seed, options.seed + options.bodies)
     jobs = [
-        Job(kind=kind, seed=seed, pushes=options.pushes)
+        HypothesisJob(kind=kind, seed=seed, pushes=options.pushes)
         for kind in kinds
-        if kind != LOGS
+        if kind != LOGS_KIND
         for seed in seeds
     ]
-    if LOGS in kinds:
+    if LOGS_KIND in kinds:
         jobs += [
-            Job(LOGS, seed, options.pushes, path=path, log_kind=log_kind, name=name)
+            HypothesisJob(LOGS_KIND, seed, options.pushes, path=path, log_kind=log_kind, name=name)
             for name, log_kind, path in logs
             for seed in seeds
         ]
@@ -219,7 +228,7 @@ def _find_logs(data: Path) -> list[tuple[str, str, Path]]:
     return name_logs(find_push_logs(data, LOG_HELD_OUT + HELD_OUT))
 
 
-def run_job(job: Job) -> list[HypothesisScore]:
+def run_job(job: HypothesisJob) -> list[HypothesisScore]:
     """Learns one body with each set of hypotheses, and predicts its held-out pushes."""
     body = make_pushes(job)
     kind = job.name or job.kind
@@ -229,7 +238,7 @@ def run_job(job: Job) -> list[HypothesisScore]:
         if not scores:
             uniform = CellParameters.uniform(body.obj)
             even = calc_mean_cell_error(Model(body.obj, uniform, found.physics), body.held_out)
-            scores.append(HypothesisScore(kind, job.seed, UNIFORM, even))
+            scores.append(HypothesisScore(kind, job.seed, EVEN_MODEL, even))
         error = calc_mean_cell_error(Model(body.obj, found.params, found.physics), body.held_out)
         covered = None
         if body.center is not None:
@@ -255,7 +264,7 @@ class Pushed:
     center: Array | None = None
 
 
-def make_pushes(job: Job) -> Pushed:
+def make_pushes(job: HypothesisJob) -> Pushed:
     """Makes or reads a body's pushes."""
     if job.kind in RANDOM_KINDS:
         body = draw_body(job.kind, job.seed, job.pushes, HELD_OUT)
@@ -263,11 +272,11 @@ def make_pushes(job: Job) -> Pushed:
         center = body.truth.center_of_mass(body.obj)
         return Pushed(body.obj, body.training, body.held_out, center)
     if job.kind in MUJOCO_KINDS:
-        outline = OUTLINES[job.seed % len(OUTLINES)]
+        outline = OUTLINE_NAMES[job.seed % len(OUTLINE_NAMES)]
         made = make_set(job.kind, outline, job.seed, job.pushes, HELD_OUT)
         return Pushed(made.obj, made.training, made.held_out, made.center_of_mass)
     rng = np.random.default_rng(job.seed)
-    if job.kind == PAPER:
+    if job.kind == PAPER_KIND:
         protocol = make_protocol(None, job.seed)
         names = tuple(protocol.masses)
         case = make_case(protocol, names[job.seed % len(names)], int(rng.integers(MASS_SETS)))
@@ -288,25 +297,25 @@ def _read(path: Path, kind: str) -> tuple[PushLog, GridObject]:
     return find_importer(kind)().read(path)
 
 
-def tabulate(options: Options, done: Done) -> list[Table]:
+def tabulate(options: HypothesisBenchOptions, done: Done) -> list[Table]:
     """Tabulates the errors by kind and set of hypotheses."""
-    return [tabulate_scores([score for scores in done.of(TASK) for score in scores])]
+    return [tabulate_scores([score for scores in done.of(BODY_JOBS) for score in scores])]
 
 
 def tabulate_scores(scores: Sequence[HypothesisScore]) -> Table:
     """Makes a row for each kind: errors with all hypotheses, and how much more without each."""
-    names = [name for name in make_sets() if name != ALL]
+    names = [name for name in make_sets() if name != ALL_HYPOTHESES]
     rows: list[list[Value]] = []
     for kind in dict.fromkeys(score.kind for score in scores):
         errors = {
-            (score.hypotheses, score.seed): MM * score.error
+            (score.hypotheses, score.seed): MM_PER_M * score.error
             for score in scores
             if score.kind == kind
         }
         seeds = sorted({seed for _, seed in errors})
-        everything = np.array([errors[ALL, seed] for seed in seeds])
+        everything = np.array([errors[ALL_HYPOTHESES, seed] for seed in seeds])
         row: list[Value] = [kind, len(seeds)]
-        row += [_calc_mean([errors[UNIFORM, seed] for seed in seeds]), _calc_mean(everything)]
+        row += [_calc_mean([errors[EVEN_MODEL, seed] for seed in seeds]), _calc_mean(everything)]
         row += [
             _calc_mean(np.array([errors[name, seed] for seed in seeds]) - everything)
             for name in names
@@ -314,11 +323,20 @@ def tabulate_scores(scores: Sequence[HypothesisScore]) -> Table:
         covered = [
             score.covered
             for score in scores
-            if score.kind == kind and score.hypotheses == ALL and score.covered is not None
+            if score.kind == kind
+            and score.hypotheses == ALL_HYPOTHESES
+            and score.covered is not None
         ]
-        row.append(PERCENT * float(np.mean(covered)) if covered else None)
+        row.append(PERCENT_PER_ONE * float(np.mean(covered)) if covered else None)
         rows.append(row)
-    columns = ("kind", "bodies", f"{UNIFORM}, mm", f"{ALL}, mm", *names, "center within, %")
+    columns = (
+        "kind",
+        "bodies",
+        f"{EVEN_MODEL}, mm",
+        f"{ALL_HYPOTHESES}, mm",
+        *names,
+        "center within, %",
+    )
     notes = (
         "Mean final cell error of held-out pushes; ± is its standard error over the bodies.",
         "The other columns: how much greater the error is without a hypothesis, of the same "
@@ -341,21 +359,21 @@ def _calc_mean(values: Sequence[float] | np.ndarray) -> Mean:
     return Mean(mean, mean - error, mean + error, even=True)
 
 
-def _describe(job: Job) -> str:
+def _describe(job: HypothesisJob) -> str:
     return f"{job.name or job.kind} {job.seed}"
 
 
-TASK = Task(job=Job, run=run_job, describe=_describe)
+BODY_JOBS = JobKind(job=HypothesisJob, run=run_job, describe=_describe)
 """What is done with a body."""
 
 STUDY = Study(
     name="hypotheses",
     help="Learn bodies of many kinds with all load hypotheses and without each of them, to see "
     "which ones pay.",
-    options=Options,
+    options=HypothesisBenchOptions,
     shorten=shorten,
     make_jobs=make_jobs,
-    tasks=(TASK,),
+    tasks=(BODY_JOBS,),
     tabulate=tabulate,
 )
 """`gridpush bench hypotheses`."""

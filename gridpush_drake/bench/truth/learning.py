@@ -13,16 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench.jobs import check_known
-from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
-from gridpush_drake.bench.table import MM, PERCENT, Table, Value, calc_interval
+from gridpush_drake.bench.study import OBJECTS_OPTION, Done, JobKind, Study, StudyOptions, option
 from gridpush_drake.bench.truth import overhang
 from gridpush_drake.bench.truth.design import find_designed_pushes
-from gridpush_drake.bench.truth.overhang import OVERHANG, TIPPED_BODIES
+from gridpush_drake.bench.truth.overhang import OVERHANG_KIND, TIPPED_BODIES
 from gridpush_drake.bench.truth.sets import (
-    KINDS,
-    OUTLINES,
-    TRAINING,
+    OUTLINE_NAMES,
+    TRAINING_PUSH_COUNT,
+    TRUTH_KINDS,
     TruthSet,
     make_set,
     read_set,
@@ -32,53 +30,62 @@ from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
-from gridpush_drake.identification.spread import INTERVAL, predict_spread
+from gridpush_drake.identification.spread import INTERVAL_PROBABILITY, predict_spread
+from gridpush_drake.jobs.run import check_known
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.report.table import Table, Value, calc_interval
+from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
 
-SETS = 3
+DEFAULT_SET_COUNT = 3
 """Number of hidden bodies of each kind and outline by default."""
 
 QUICK_SETS = 1
 """Number of hidden bodies of each kind and outline in the quick variant."""
 
-COUNTS = (3, 5, 8, 18)
+DEFAULT_PUSH_COUNTS = (3, 5, 8, 18)
 """Numbers of pushes to learn from by default."""
 
 QUICK_COUNTS = (5,)
 """Numbers of pushes to learn from in the quick variant."""
 
-UNIFORM = "uniform"
+UNIFORM_MODEL = "uniform"
 """Name of the model of which nothing was learned."""
 
-MASSES = "true masses"
+TRUE_MASS_MODEL = "true masses"
 """Name of the model that is given each cell's true mass as its load."""
 
-LOADS = "true loads"
+TRUE_LOAD_MODEL = "true loads"
 """Name of the model that is given each cell's true load at rest."""
 
-SHIFTING = "true loads, shifting"
+SHIFTING_LOAD_MODEL = "true loads, shifting"
 """Name of the model that is given the true loads at rest, which shift with the pusher's force and
 height."""
 
-LEARNED = "learned"
+LEARNED_MODEL = "learned"
 """Name of the model that was learned."""
 
-ORDER = {UNIFORM: 0, MASSES: 1, LOADS: 2, SHIFTING: 3, LEARNED: 4}
+MODEL_ORDER = {
+    UNIFORM_MODEL: 0,
+    TRUE_MASS_MODEL: 1,
+    TRUE_LOAD_MODEL: 2,
+    SHIFTING_LOAD_MODEL: 3,
+    LEARNED_MODEL: 4,
+}
 """Order of the models in the table."""
 
-RANDOM = "random"
+RANDOM_CHOICE = "random"
 """Way of choosing the pushes to learn from: place, direction and speed are drawn."""
 
-DESIGN = "design"
+DESIGNED_CHOICE = "design"
 """Way of choosing them by what tells most, one after another (`bench.truth.design`)."""
 
-WAYS = (RANDOM, DESIGN)
+CHOICE_NAMES = (RANDOM_CHOICE, DESIGNED_CHOICE)
 """Ways of choosing the pushes to learn from, in the order of the table."""
 
 CHI_SQUARE = 5.991
@@ -89,15 +96,15 @@ MIN_LOAD = 1e-6
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class TruthBenchOptions(StudyOptions):
     """What is measured.
 
     Attributes:
-        kinds: kinds of truth; OVERHANG is measured by itself, see `bench.truth.overhang`.
-        objects: names of shipped objects whose outlines the bodies have; OUTLINES where None.
+        kinds: kinds of truth; OVERHANG_KIND is measured by itself, see `bench.truth.overhang`.
+        objects: names of shipped objects whose outlines the bodies have; OUTLINE_NAMES where None.
         sets: number of bodies of each kind and outline; the first one has the seed `seed`.
         pushes: numbers of pushes to learn from.
-        chosen: ways of choosing these pushes, of WAYS; RANDOM where None.
+        chosen: ways of choosing these pushes, of CHOICE_NAMES; RANDOM_CHOICE where None.
         out: folder of sets, each in KIND/OUTLINE_SEED. Those that are there are read, others are
             made and left there.
         force: whether sets that are there are made anew, and replaced.
@@ -111,13 +118,13 @@ class Options(StudyOptions):
         metavar="KIND",
         shown="all but overhang",
     )
-    objects: tuple[str, ...] | None = option(None, **OBJECTS)
-    sets: int = option(SETS, "Hidden bodies of each kind and object.", least=1)
+    objects: tuple[str, ...] | None = option(None, **OBJECTS_OPTION)
+    sets: int = option(DEFAULT_SET_COUNT, "Hidden bodies of each kind and object.", least=1)
     pushes: tuple[int, ...] | None = option(
         None,
         "How many pushes to learn from; may be repeated.",
         least=1,
-        shown=", ".join(map(str, COUNTS)),
+        shown=", ".join(map(str, DEFAULT_PUSH_COUNTS)),
     )
     chosen: tuple[str, ...] | None = option(
         None,
@@ -125,7 +132,7 @@ class Options(StudyOptions):
         "the ones before; may be repeated, for both from the same bodies.",
         name="--chosen",
         metavar="WAY",
-        shown=RANDOM,
+        shown=RANDOM_CHOICE,
     )
     out: Path | None = option(
         None,
@@ -140,26 +147,30 @@ class Options(StudyOptions):
     @property
     def chosen_kinds(self) -> tuple[str, ...]:
         """The kinds that are measured."""
-        return KINDS if self.kinds is None else self.kinds
+        return TRUTH_KINDS if self.kinds is None else self.kinds
 
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the outlines."""
-        return OUTLINES if self.objects is None else self.objects
+        return OUTLINE_NAMES if self.objects is None else self.objects
 
     @property
     def counts(self) -> tuple[int, ...]:
         """The numbers of pushes to learn from, each once and in order."""
-        return tuple(sorted(set(COUNTS if self.pushes is None else self.pushes)))
+        return tuple(sorted(set(DEFAULT_PUSH_COUNTS if self.pushes is None else self.pushes)))
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """The ways of choosing the pushes to learn from, in the order of WAYS."""
-        return (RANDOM,) if self.chosen is None else tuple(w for w in WAYS if w in self.chosen)
+        """The ways of choosing the pushes to learn from, in the order of CHOICE_NAMES."""
+        return (
+            (RANDOM_CHOICE,)
+            if self.chosen is None
+            else tuple(w for w in CHOICE_NAMES if w in self.chosen)
+        )
 
 
 @dataclass(frozen=True)
-class Job:
+class TruthJob:
     """One hidden body, learned from several numbers of pushes.
 
     Attributes:
@@ -167,7 +178,7 @@ class Job:
         name: name of the outline.
         seed: seed of the body and its pushes.
         counts: numbers of pushes to learn from.
-        ways: ways of choosing these pushes, of WAYS.
+        ways: ways of choosing these pushes, of CHOICE_NAMES.
         out: folder of sets, where this one is looked up, and left if it has to be made; None keeps
             none.
         anew: whether to make it even if it is there.
@@ -177,7 +188,7 @@ class Job:
     name: str
     seed: int
     counts: tuple[int, ...]
-    ways: tuple[str, ...] = (RANDOM,)
+    ways: tuple[str, ...] = (RANDOM_CHOICE,)
     out: Path | None = None
     anew: bool = False
 
@@ -190,16 +201,16 @@ class TruthScore:
         kind: kind of truth.
         name: name of the outline.
         seed: seed of the body.
-        model: one of ORDER.
+        model: one of MODEL_ORDER.
         pushes: number of pushes that were learned from.
         error: mean final cell error of the held-out pushes, m.
         center_error: distance from the true center of mass, m.
         covered: whether the true center is within the 95 % region; None where nothing was learned.
-        within: share of the held-out pushes whose final pose is as near to the predicted one as
+        within: fraction of the held-out pushes whose final pose is as near to the predicted one as
             said; None where nothing was learned.
         region: radius of a circle as large as the 95 % region, m; None where nothing was learned.
-        chosen: way in which the pushes that were learned from were chosen, of WAYS; None where
-            nothing was learned.
+        chosen: way in which the pushes that were learned from were chosen, of CHOICE_NAMES; None
+            where nothing was learned.
     """
 
     kind: str
@@ -215,34 +226,36 @@ class TruthScore:
     chosen: str | None = None
 
 
-def shorten(options: Options) -> Options:
+def shorten(options: TruthBenchOptions) -> TruthBenchOptions:
     """Makes the options of the quick variant."""
     sets = min(options.sets, QUICK_SETS)
     return replace(options, sets=sets, pushes=QUICK_COUNTS, tipped=QUICK_SETS)
 
 
-def make_jobs(options: Options) -> list[Job | overhang.OverhangJob | overhang.TippingJob]:
+def make_jobs(
+    options: TruthBenchOptions,
+) -> list[TruthJob | overhang.OverhangJob | overhang.TippingJob]:
     """Makes a job for each kind, body and outline, and those of the overhang.
 
     Raises:
         GridPushError: an option is out of range.
         MissingExtraError: a set must be made, and MuJoCo is not installed.
     """
-    check_known("kind", options.chosen_kinds, (*KINDS, OVERHANG))
+    check_known("kind", options.chosen_kinds, (*TRUTH_KINDS, OVERHANG_KIND))
     if options.sets < 1:
         raise GridPushError(f"sets: {options.sets}; expected at least 1")
     if options.chosen is not None:
-        check_known("chosen", options.chosen, WAYS)
+        check_known("chosen", options.chosen, CHOICE_NAMES)
     counts = options.counts
-    if not counts or not 1 <= counts[0] <= counts[-1] <= TRAINING:
+    if not counts or not 1 <= counts[0] <= counts[-1] <= TRAINING_PUSH_COUNT:
         given = ", ".join(map(str, counts)) or "none"
-        raise GridPushError(f"pushes: {given}; expected 1 to {TRAINING}")
+        raise GridPushError(f"pushes: {given}; expected 1 to {TRAINING_PUSH_COUNT}")
     if options.out is None:
         # Only sets that lie in a folder already can be read without MuJoCo.
         import_extra("mujoco", "bench")
     folder = None if options.out is None else options.out.resolve()
     jobs = [
-        Job(
+        TruthJob(
             kind=kind,
             name=name,
             seed=options.seed + i,
@@ -252,17 +265,17 @@ def make_jobs(options: Options) -> list[Job | overhang.OverhangJob | overhang.Ti
             anew=options.force,
         )
         for kind in options.chosen_kinds
-        if kind != OVERHANG
+        if kind != OVERHANG_KIND
         for i in range(options.sets)
         for name in options.names
     ]
-    if OVERHANG not in options.chosen_kinds:
+    if OVERHANG_KIND not in options.chosen_kinds:
         return [*jobs]
     over = overhang.make_jobs(options.names, options.sets, options.seed, options.tipped)
     return [*jobs, *over]
 
 
-def run_job(job: Job) -> list[TruthScore]:
+def run_job(job: TruthJob) -> list[TruthScore]:
     """Makes or reads one set, and learns from it.
 
     Raises:
@@ -289,19 +302,19 @@ def run_job(job: Job) -> list[TruthScore]:
         patch_ratio=MapEnsemble().choose_patch_ratio(made.obj),
     )
     known = {
-        UNIFORM: CellParameters.uniform(made.obj),
-        MASSES: made.params,
-        LOADS: loads,
-        SHIFTING: replace(loads, push_height=made.push_height),
+        UNIFORM_MODEL: CellParameters.uniform(made.obj),
+        TRUE_MASS_MODEL: made.params,
+        TRUE_LOAD_MODEL: loads,
+        SHIFTING_LOAD_MODEL: replace(loads, push_height=made.push_height),
     }
     scores = [_score(made, model, 0, params) for model, params in known.items()]
     for way in job.ways:
         log = made.training
-        if way == DESIGN:
+        if way == DESIGNED_CHOICE:
             log = find_designed_pushes(made, job.counts[-1], folder, job.anew)
         for count in job.counts:
             found = identify(Model(made.obj), log[:count])
-            score = _score(made, LEARNED, count, found.params, found)
+            score = _score(made, LEARNED_MODEL, count, found.params, found)
             scores.append(replace(score, chosen=way))
     return scores
 
@@ -358,16 +371,16 @@ def calc_center_region(found: Identification, center: Array) -> tuple[float, flo
     return float(off @ np.linalg.solve(covariance, off)), float(radius)
 
 
-def tabulate(options: Options, done: Done) -> list[Table]:
+def tabulate(options: TruthBenchOptions, done: Done) -> list[Table]:
     """Tabulates the bodies by kind and model, and what is measured at an edge."""
-    scores = [score for scores in done.of(TASK) for score in scores]
+    scores = [score for scores in done.of(BODY_JOBS) for score in scores]
     tables = [tabulate_scores(scores)] if scores else []
     if scores and len(options.ways) > 1:
         tables.append(tabulate_difference(scores))
-    pushed = [score for scores in done.of(overhang.PUSHED) for score in scores]
+    pushed = [score for scores in done.of(overhang.OVERHANG_JOBS) for score in scores]
     if pushed:
         tables.append(overhang.tabulate_pushes(pushed))
-        tables.append(overhang.tabulate_limit(done.of(overhang.TIPPED)))
+        tables.append(overhang.tabulate_limit(done.of(overhang.TIPPING_JOBS)))
     return tables
 
 
@@ -378,7 +391,7 @@ def tabulate_scores(scores: Sequence[TruthScore]) -> Table:
         groups: dict[tuple[int, int, str], list[TruthScore]] = {}
         for score in scores:
             if score.kind == kind:
-                key = (score.pushes, ORDER[score.model], _name_model(score))
+                key = (score.pushes, MODEL_ORDER[score.model], _name_model(score))
                 groups.setdefault(key, []).append(score)
         # A name that is longer, as that of pushes by design, comes after.
         rows += [[kind, key[2], *_sum_up(groups[key])] for key in sorted(groups)]
@@ -390,7 +403,8 @@ def tabulate_scores(scores: Sequence[TruthScore]) -> Table:
         "Center: mean distance from the true center of mass; within: bodies whose center is in the "
         "95 % region;",
         "region: median radius of a circle as large as that region.",
-        f"Held-out within: pushes that end as near to the prediction as is said of {INTERVAL:.0%} "
+        "Held-out within: pushes that end as near to the prediction as is said of "
+        f"{INTERVAL_PROBABILITY:.0%} "
         "of them.",
     )
     columns = (
@@ -411,14 +425,14 @@ def tabulate_scores(scores: Sequence[TruthScore]) -> Table:
 
 def _name_model(score: TruthScore) -> str:
     """Names what a score is of, as the table says it."""
-    if score.model != LEARNED:
+    if score.model != LEARNED_MODEL:
         return score.model
-    return f"{score.pushes} pushes{' by design' if score.chosen == DESIGN else ''}"
+    return f"{score.pushes} pushes{' by design' if score.chosen == DESIGNED_CHOICE else ''}"
 
 
 def tabulate_difference(scores: Sequence[TruthScore]) -> Table:
     """Compares what pushes by design and random ones taught of the same bodies."""
-    learned = [score for score in scores if score.model == LEARNED]
+    learned = [score for score in scores if score.model == LEARNED_MODEL]
     rows: list[list[Value]] = []
     for kind, pushes in dict.fromkeys((score.kind, score.pushes) for score in learned):
         error = {
@@ -427,13 +441,13 @@ def tabulate_difference(scores: Sequence[TruthScore]) -> Table:
             if (score.kind, score.pushes) == (kind, pushes)
         }
         less = [
-            error[name, seed, RANDOM] - value
+            error[name, seed, RANDOM_CHOICE] - value
             for (name, seed, chosen), value in error.items()
-            if chosen == DESIGN
+            if chosen == DESIGNED_CHOICE
         ]
         gain = calc_interval(less)
-        better = PERCENT * float(np.mean([value > 0 for value in less]))
-        figures = [MM * value for value in (gain.mean, gain.low, gain.high)]
+        better = PERCENT_PER_ONE * float(np.mean([value > 0 for value in less]))
+        figures = [MM_PER_M * value for value in (gain.mean, gain.low, gain.high)]
         rows.append([kind, pushes, len(less), *figures, better])
     notes = (
         "Less: by how much the held-out error after pushes by design is less than after random "
@@ -448,8 +462,11 @@ def tabulate_difference(scores: Sequence[TruthScore]) -> Table:
 def _sum_up(scores: Sequence[TruthScore]) -> list[Value]:
     """Makes the figures of a row of the table."""
     error = calc_interval([score.error for score in scores])
-    row: list[Value] = [len(scores), *(MM * value for value in (error.mean, error.low, error.high))]
-    row.append(MM * float(np.mean([score.center_error for score in scores])))
+    row: list[Value] = [
+        len(scores),
+        *(MM_PER_M * value for value in (error.mean, error.low, error.high)),
+    ]
+    row.append(MM_PER_M * float(np.mean([score.center_error for score in scores])))
     covered = [score.covered for score in scores if score.covered is not None]
     if not covered:
         return [*row, None, None, None]
@@ -457,23 +474,25 @@ def _sum_up(scores: Sequence[TruthScore]) -> list[Value]:
     within = [score.within for score in scores if score.within is not None]
     return [
         *row,
-        PERCENT * float(np.mean(covered)),
-        MM * float(np.median(regions)),
-        PERCENT * float(np.mean(within)),
+        PERCENT_PER_ONE * float(np.mean(covered)),
+        MM_PER_M * float(np.median(regions)),
+        PERCENT_PER_ONE * float(np.mean(within)),
     ]
 
 
-TASK = Task(job=Job, run=run_job, describe=lambda job: f"{job.kind}, {job.name} {job.seed}")
+BODY_JOBS = JobKind(
+    job=TruthJob, run=run_job, describe=lambda job: f"{job.kind}, {job.name} {job.seed}"
+)
 """What is done with a hidden body."""
 
 STUDY = Study(
     name="truth",
     help="Learn bodies that do not obey the model: MuJoCo pushes them, on feet, foundations and "
     "uneven bottoms.",
-    options=Options,
+    options=TruthBenchOptions,
     shorten=shorten,
     make_jobs=make_jobs,
-    tasks=(TASK, overhang.PUSHED, overhang.TIPPED),
+    tasks=(BODY_JOBS, overhang.OVERHANG_JOBS, overhang.TIPPING_JOBS),
     tabulate=tabulate,
 )
 """`gridpush bench truth`."""

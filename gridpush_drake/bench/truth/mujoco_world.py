@@ -33,10 +33,10 @@ from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array, calc_yaw, transform
 from gridpush_drake.multibody.mjcf import (
     FOOT_RADIUS,
-    IMPRATIO,
+    IMPEDANCE_RATIO,
+    SOLVER_TOLERANCE,
     TABLE_HALF,
     TIME_STEP,
-    TOLERANCE,
     WALL_RADIUS,
     calc_springs,
 )
@@ -44,7 +44,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.world import (
     FALLEN_TILT,
-    OBSERVATIONS,
+    OBSERVATION_COUNT,
     TrackedWorld,
     WorldMotion,
     WorldTruth,
@@ -57,8 +57,8 @@ RIGID_TIME_STEP = 5e-4
 """Time step of bodies on rigid feet, s."""
 
 RIGID_SINKAGE = 1e-4
-"""Distance by which a rigid foot sinks under its share of the weight, m. (A compliant bottom sinks
-by `multibody.mjcf.SINKAGE`.)"""
+"""Distance by which a rigid foot sinks under its fraction of the weight, m. (A compliant bottom
+sinks by `multibody.mjcf.SINKAGE`.)"""
 
 BODY_HEIGHT = 0.03
 """Height of every body, m; its mass is spread evenly over it."""
@@ -84,7 +84,7 @@ SETTLE_TIME = 1.0
 Bounds = tuple[float, float, float, float]
 """Sides of a table along the world's axes: least x, least y, greatest x, greatest y, m."""
 
-ENDLESS: Bounds = (-TABLE_HALF, -TABLE_HALF, TABLE_HALF, TABLE_HALF)
+ENDLESS_TABLE: Bounds = (-TABLE_HALF, -TABLE_HALF, TABLE_HALF, TABLE_HALF)
 """Sides of a table whose edges nothing reaches, m."""
 
 EDGE_RADIUS = 0.003
@@ -116,7 +116,7 @@ NEAR_EDGE = 0.01
 """Distance of the body's outline from an edge, m, below which contacts with the edges are looked
 for."""
 
-FAR = (0.0, 50.0)
+PARKED_PUSHER = (0.0, 50.0)
 """Place of the pusher while it does not push, m."""
 
 Edge = tuple[tuple[float, float], tuple[float, float]]
@@ -180,15 +180,15 @@ class MujocoWorld(TrackedWorld):
         self,
         body: TruthBody,
         radius: float,
-        table: Bounds = ENDLESS,
+        table: Bounds = ENDLESS_TABLE,
         pose: ArrayLike | None = None,
         *,
         settle: float = 0.0,
         position_std: float = 0.0,
         angle_std: float = 0.0,
         seed: int | np.random.Generator = 0,
-        observations: int = OBSERVATIONS,
-        looks_anew: bool = False,
+        observations: int = OBSERVATION_COUNT,
+        observes_anew: bool = False,
     ) -> None:
         """Finds how the body rests on the table, and puts it down.
 
@@ -204,7 +204,7 @@ class MujocoWorld(TrackedWorld):
             angle_std: standard deviation of seen angles, rad.
             seed: seed of the noise, or the generator that draws it.
             observations: number of poses that are seen during a push after the first one.
-            looks_anew: whether `observe` draws new noise every time.
+            observes_anew: whether `observe` draws new noise every time.
 
         Raises:
             MissingExtraError: MuJoCo is not installed.
@@ -243,7 +243,7 @@ class MujocoWorld(TrackedWorld):
             angle_std=angle_std,
             seed=seed,
             observations=observations,
-            looks_anew=looks_anew,
+            observes_anew=observes_anew,
         )
 
     def _find_rest(self, middle: Array) -> None:
@@ -355,7 +355,7 @@ class MujocoWorld(TrackedWorld):
         return self._datas[self._scene]
 
     def _let_pass(self, seconds: float) -> None:
-        self._data.qpos[7:9] = FAR
+        self._data.qpos[7:9] = PARKED_PUSHER
         self._data.qvel[6:9] = 0
         for _ in range(round(seconds / self.body.time_step)):
             self._step()
@@ -415,7 +415,8 @@ def _describe(body: TruthBody, radius: float, table: Bounds, edges: list[Edge]) 
     return f"""
 <mujoco>
   <compiler inertiafromgeom="false"/>
-  <option timestep="{body.time_step}" cone="elliptic" impratio="{IMPRATIO}" tolerance="{TOLERANCE}"
+  <option timestep="{body.time_step}" cone="elliptic" impratio="{IMPEDANCE_RATIO}"
+    tolerance="{SOLVER_TOLERANCE}"
    gravity="0 0 {-GRAVITY}"/>
   <default><geom contype="0" conaffinity="0" mass="0"/></default>
   <worldbody>

@@ -13,26 +13,17 @@ from zlib import crc32
 import numpy as np
 from shapely import LineString, Point
 
-from gridpush_drake.bench.plant import PUSH_HEIGHT, PlantWorld
-from gridpush_drake.bench.study import Task
-from gridpush_drake.bench.table import (
-    MM,
-    Column,
-    Interval,
-    Table,
-    by_object,
-    calc_interval,
-    count_of,
-)
+from gridpush_drake.bench.study import JobKind
 from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, TABLE_HALF, MujocoWorld
 from gridpush_drake.bench.truth.sets import (
-    CLEARANCE,
     HALF_HEIGHT,
+    MAX_PUSH_ANGLE,
     MIN_MOTION,
-    SLANT,
+    PUSHER_CLEARANCE,
     draw_masses,
     make_body,
 )
+from gridpush_drake.bench.worlds.plant import PUSH_HEIGHT, PlantWorld
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import choose_pusher_radius
@@ -44,32 +35,35 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import FALLEN_TILT, PushWorld, WorldMotion
+from gridpush_drake.report.table import Column, Interval, Table, by_object, calc_interval, count_of
+from gridpush_drake.units import MM_PER_M
 
 WorldName = Literal["mujoco", "drake"]
 """Name of a world that the model is compared with."""
 
-OVERHANG = "overhang"
+OVERHANG_KIND = "overhang"
 """Name of this kind of truth."""
 
-WORLDS: tuple[WorldName, ...] = ("mujoco", "drake")
+COMPARED_WORLDS: tuple[WorldName, ...] = ("mujoco", "drake")
 """Worlds that the model is compared with."""
 
 HALF_PLANE = (-TABLE_HALF, -TABLE_HALF, 0.0, TABLE_HALF)
 """Sides of the table in MuJoCo, m: least x, least y, greatest x, greatest y."""
 
-SURFACE = SupportSurface.rectangle((-TABLE_HALF / 2, 0.0), (TABLE_HALF, 2 * TABLE_HALF))
+MODEL_SURFACE = SupportSurface.rectangle((-TABLE_HALF / 2, 0.0), (TABLE_HALF, 2 * TABLE_HALF))
 """The table as the model knows it."""
 
-SHARE = (0.10, 0.45)
-"""Least and greatest share of the cells beyond the edge, at a push's beginning and at its end."""
+OVERHANG_FRACTIONS = (0.10, 0.45)
+"""Least and greatest fraction of the cells beyond the edge, at a push's beginning and at its
+end."""
 
-PUSHES = 4
+PUSH_COUNT = 4
 """Number of pushes of each body."""
 
-DISTANCE = 0.05
+PUSH_LENGTH = 0.05
 """Length of a push, m."""
 
-SPEED = 0.05
+PUSHER_SPEED = 0.05
 """Speed of the pusher, m/s."""
 
 MIN_STABLE = 0.004
@@ -83,7 +77,7 @@ TIPPING_TILT = np.radians(6)
 """Tilt from which a body tips, rad. With less, its bottom may come to rest on the edge when its
 last foot has left the table."""
 
-SETTLE = 0.3
+SETTLING_TIME = 0.3
 """Time that a body is given to come to rest over the edge, s."""
 
 TIP_SPEED = 0.02
@@ -98,7 +92,7 @@ TIP_START = 0.025
 TIP_SLACK = 0.005
 """Length of the pusher's path before and behind the limit, m, at which the model is asked."""
 
-WAIT = 1.0
+STABLE_TIME = 1.0
 """Time after a push in which a body that is to stay must not tip, s."""
 
 PLANT_SPHERES = 4
@@ -108,7 +102,7 @@ edge."""
 TIPPED_BODIES = 20
 """Number of bodies of each outline that are pushed until they tip."""
 
-TRIES = 300
+MAX_PUSH_TRIES = 300
 """Number of random pushes that are tried before it is said that none is as asked for."""
 
 
@@ -126,7 +120,7 @@ class OverhangJob:
     world: WorldName
     name: str
     seed: int
-    pushes: int = PUSHES
+    pushes: int = PUSH_COUNT
 
 
 @dataclass(frozen=True)
@@ -137,7 +131,7 @@ class OverhangScore:
         world: name of the world in which the body was pushed.
         name: name of the outline.
         seed: seed of the body.
-        share: share of the cells beyond the edge at the end.
+        fraction: fraction of the cells beyond the edge at the end.
         moved: mean distance that the cells went, m.
         position: distance of the centers of mass of a model that knows of the table, m.
         angle: difference of its angle, rad.
@@ -148,7 +142,7 @@ class OverhangScore:
     world: str
     name: str
     seed: int
-    share: float
+    fraction: float
     moved: float
     position: float
     angle: float
@@ -199,7 +193,7 @@ def make_jobs(
     """
     pushes = [
         OverhangJob(world, name, seed + i)
-        for world in WORLDS
+        for world in COMPARED_WORLDS
         for i in range(sets)
         for name in names
     ]
@@ -213,13 +207,15 @@ def run_overhang(job: OverhangJob) -> list[OverhangScore]:
     Raises:
         GridPushError: hardly any push holds the body over the edge without tipping it.
     """
-    rng = np.random.default_rng([job.seed, crc32(job.name.encode()), WORLDS.index(job.world)])
+    rng = np.random.default_rng(
+        [job.seed, crc32(job.name.encode()), COMPARED_WORLDS.index(job.world)]
+    )
     obj, params = draw_masses(job.name, rng)
     radius = choose_pusher_radius(obj)
     world, height = _make_world(job.world, obj, params, radius, rng)
     known = replace(params, push_height=height)
     scores: list[OverhangScore] = []
-    for _ in range(TRIES):
+    for _ in range(MAX_PUSH_TRIES):
         if len(scores) == job.pushes:
             return scores
         pose = _draw_pose(obj, known, rng)
@@ -230,10 +226,13 @@ def run_overhang(job: OverhangJob) -> list[OverhangScore]:
         if motion is None:
             continue
         score = _score(job, obj, known, push, *motion.poses[[0, -1]])
-        if SHARE[0] <= score.share <= SHARE[1] and score.moved >= MIN_MOTION:
+        if (
+            OVERHANG_FRACTIONS[0] <= score.fraction <= OVERHANG_FRACTIONS[1]
+            and score.moved >= MIN_MOTION
+        ):
             scores.append(score)
     raise GridPushError(
-        f"{job.name}: {TRIES} random pushes hold only {len(scores)} over the edge "
+        f"{job.name}: {MAX_PUSH_TRIES} random pushes hold only {len(scores)} over the edge "
         "that do not tip it"
     )
 
@@ -252,7 +251,7 @@ def _make_world(
         )
         return world, PUSH_HEIGHT
     body = make_body(HALF_HEIGHT, obj, params, rng).harden()
-    return MujocoWorld(body, radius, HALF_PLANE, settle=SETTLE), BODY_HEIGHT / 2
+    return MujocoWorld(body, radius, HALF_PLANE, settle=SETTLING_TIME), BODY_HEIGHT / 2
 
 
 def _execute_flat(world: PushWorld, push: Push, pose: Array) -> WorldMotion | None:
@@ -271,8 +270,8 @@ def _execute_flat(world: PushWorld, push: Push, pose: Array) -> WorldMotion | No
 def _draw_pose(obj: GridObject, params: CellParameters, rng: np.random.Generator) -> Array | None:
     """Draws a pose (3,) with some of the cells beyond the edge; None where the body would tip."""
     theta = rng.uniform(-np.pi, np.pi)
-    share = rng.uniform(*SHARE)
-    edge = np.quantile(rotate(theta, obj.p_BC)[:, 0], 1 - share)
+    fraction = rng.uniform(*OVERHANG_FRACTIONS)
+    edge = np.quantile(rotate(theta, obj.p_BC)[:, 0], 1 - fraction)
     center = rotate(theta, params.center_of_mass(obj))[0] - edge
     reach = float(params.friction.max()) * params.push_height + MIN_STABLE
     return np.array([-edge, 0.0, theta]) if center <= -reach else None
@@ -283,12 +282,22 @@ def _draw_push(
 ) -> Push | None:
     """Draws a push from the outline inwards; None without a pose, or where no pusher fits."""
     place = rng.uniform(0, obj.edges.perimeter)
-    angle = rng.uniform(-SLANT, SLANT)
+    angle = rng.uniform(-MAX_PUSH_ANGLE, MAX_PUSH_ANGLE)
     point, _, normal = obj.edges.at(place)
-    if pose is None or obj.outline.distance(Point(point + normal * (radius + CLEARANCE))) < radius:
+    if (
+        pose is None
+        or obj.outline.distance(Point(point + normal * (radius + PUSHER_CLEARANCE))) < radius
+    ):
         return None
     return Push.on_outline(
-        obj, place, angle, DISTANCE, radius=radius, speed=SPEED, pose=pose, clearance=CLEARANCE
+        obj,
+        place,
+        angle,
+        PUSH_LENGTH,
+        radius=radius,
+        speed=PUSHER_SPEED,
+        pose=pose,
+        clearance=PUSHER_CLEARANCE,
     )
 
 
@@ -296,7 +305,9 @@ def _score(
     job: OverhangJob, obj: GridObject, params: CellParameters, push: Push, begin: Array, end: Array
 ) -> OverhangScore:
     """Compares the poses (3,) at which a push truly began and ended with those of the model."""
-    motion = simulate(Model(obj, params), push, begin, regime="quasi_static", table=SURFACE.corners)
+    motion = simulate(
+        Model(obj, params), push, begin, regime="quasi_static", table=MODEL_SURFACE.corners
+    )
     endless = simulate(Model(obj, params), push, begin, regime="quasi_static").final_pose
     center = params.center_of_mass(obj)
 
@@ -309,7 +320,7 @@ def _score(
         world=job.world,
         name=job.name,
         seed=job.seed,
-        share=float((cells[:, 0] > 0).mean()),
+        fraction=float((cells[:, 0] > 0).mean()),
         moved=float(np.linalg.norm(cells - obj.cells_at(begin), axis=1).mean()),
         position=float(np.linalg.norm(find_center(motion.final_pose) - there)),
         angle=float(abs(wrap_angle(motion.final_pose[2] - end[2]))),
@@ -324,13 +335,13 @@ def run_tipping(job: TippingJob) -> TippingScore:
     Raises:
         GridPushError: hardly any push brings the body across such a limit.
     """
-    rng = np.random.default_rng([job.seed, crc32(job.name.encode()), len(WORLDS)])
+    rng = np.random.default_rng([job.seed, crc32(job.name.encode()), len(COMPARED_WORLDS)])
     obj, params = draw_masses(job.name, rng)
     radius = choose_pusher_radius(obj)
     body = make_body(HALF_HEIGHT, obj, params, rng).harden()
-    world = MujocoWorld(body, radius, HALF_PLANE, settle=SETTLE)
+    world = MujocoWorld(body, radius, HALF_PLANE, settle=SETTLING_TIME)
     known = Model(obj, replace(params, push_height=BODY_HEIGHT / 2))
-    for _ in range(TRIES):
+    for _ in range(MAX_PUSH_TRIES):
         theta = rng.uniform(-np.pi, np.pi)
         center = rotate(theta, params.center_of_mass(obj))
         pose = np.array([-center[0] - TIP_START, -center[1], theta])
@@ -345,13 +356,13 @@ def run_tipping(job: TippingJob) -> TippingScore:
         world.put(pose)
         begin = world.truth.pose
         stayed, tipped = (
-            known.simulate(each, begin, regime="quasi_static", table=SURFACE.corners).status
+            known.simulate(each, begin, regime="quasi_static", table=MODEL_SURFACE.corners).status
             == MotionStatus.TIPS
             for each in (before, behind)
         )
         return TippingScore(job.name, job.seed, stayed, tipped)
     raise GridPushError(
-        f"{job.name}: none of {TRIES} pushes brings it over the edge as a limit asks for"
+        f"{job.name}: none of {MAX_PUSH_TRIES} pushes brings it over the edge as a limit asks for"
     )
 
 
@@ -360,7 +371,7 @@ def _aim(obj: GridObject, pose: Array, radius: float) -> Push:
     ring = LineString(rotate(pose[2], np.array(obj.outline.exterior.coords)) + pose[:2])
     path = LineString([(ring.bounds[0] - 2 * radius, 0.0), (-TIP_START, 0.0)])
     touch = path.intersection(ring.buffer(radius).exterior).bounds[0]
-    start = (touch - CLEARANCE, 0.0)
+    start = (touch - PUSHER_CLEARANCE, 0.0)
     return Push(start, (TIP_SPEED, 0.0), TIP_DISTANCE / TIP_SPEED, radius)
 
 
@@ -392,13 +403,13 @@ def _find_limit(world: PushWorld, push: Push, pose: Array) -> float | None:
 
 
 def _tips(world: MujocoWorld, push: Push, pose: Array) -> bool:
-    """Says whether the body tips while it is pushed, or within WAIT afterwards."""
+    """Says whether the body tips while it is pushed, or within STABLE_TIME afterwards."""
     world.put(pose)
     world.execute(push)
     motion = world.truth.motion
     assert motion is not None
     assert motion.tilt is not None
-    world.wait(WAIT)
+    world.wait(STABLE_TIME)
     return max(float(motion.tilt.max()), world.truth.tilt) > FALLEN_TILT
 
 
@@ -411,17 +422,18 @@ def tabulate_pushes(scores: Sequence[OverhangScore]) -> Table:
     ]
     columns: dict[str, Column] = {
         "pushes": len,
-        "over, %": lambda some: 100 * float(np.mean([score.share for score in some])),
-        "moved, mm": lambda some: MM * float(np.mean([score.moved for score in some])),
-        "mean, mm": lambda some: MM * _calc_interval(some, "position").mean,
-        "to": lambda some: MM * _calc_interval(some, "position").high,
+        "over, %": lambda some: 100 * float(np.mean([score.fraction for score in some])),
+        "moved, mm": lambda some: MM_PER_M * float(np.mean([score.moved for score in some])),
+        "mean, mm": lambda some: MM_PER_M * _calc_interval(some, "position").mean,
+        "to": lambda some: MM_PER_M * _calc_interval(some, "position").high,
         "mean, °": lambda some: float(np.degrees(_calc_interval(some, "angle").mean)),
         "to, °": lambda some: float(np.degrees(_calc_interval(some, "angle").high)),
-        "endless, mm": lambda some: MM * float(np.mean([score.endless for score in some])),
+        "endless, mm": lambda some: MM_PER_M * float(np.mean([score.endless for score in some])),
         "tips": count_of("tips", True),
     }
     notes = (
-        f"Pushes of {DISTANCE * 100:g} cm, {SHARE[0]:.0%} to {SHARE[1]:.0%} of the cells over the "
+        f"Pushes of {PUSH_LENGTH * 100:g} cm, {OVERHANG_FRACTIONS[0]:.0%} to "
+        f"{OVERHANG_FRACTIONS[1]:.0%} of the cells over the "
         "edge; true masses.",
         "mm: distance of the center of mass from the truth's; to: the upper end of the mean's 95 % "
         "interval.",
@@ -439,7 +451,8 @@ def tabulate_limit(scores: Sequence[TippingScore]) -> Table:
         "said to tip behind": count_of("tipped", True),
     }
     notes = (
-        f"Bodies in MuJoCo, pushed across the edge; the model is asked {TIP_SLACK * MM:g} mm of "
+        f"Bodies in MuJoCo, pushed across the edge; the model is asked {TIP_SLACK * MM_PER_M:g} "
+        "mm of "
         "the pusher's path before and behind the place where the body begins to tip.",
     )
     return Table.of("The limit", ("object",), _group_by_name(scores), columns, notes)
@@ -455,12 +468,12 @@ def _calc_interval(scores: Sequence[OverhangScore], field: str) -> Interval:
     return calc_interval([getattr(score, field) for score in scores])
 
 
-PUSHED = Task(
+OVERHANG_JOBS = JobKind(
     job=OverhangJob, run=run_overhang, describe=lambda job: f"{job.world}, {job.name} {job.seed}"
 )
 """What is done with a body that is pushed over the edge."""
 
-TIPPED = Task(
+TIPPING_JOBS = JobKind(
     job=TippingJob, run=run_tipping, describe=lambda job: f"tipping, {job.name} {job.seed}"
 )
 """What is done with a body that is pushed until it tips."""

@@ -1,10 +1,12 @@
 """Random bodies of many kinds, pushed in our own simulator: what load hypotheses are judged on.
 
-* TOOLS: two to four pieces, boxes and ovals, in a row, each of another weight, in the paper's
-  simulated protocol (`bench.protocol`).
-* PATCHES: a box or an oval, on which one to three patches have other weights; the same protocol.
-* EVEN: outlines of tools that bear evenly.
-* BOWLS, RINGS, RIMS: plates and tools whose load is gathered in the middle, in a ring about it, or
+* TOOLS_KIND: two to four pieces, boxes and ovals, in a row, each of another weight, in the paper's
+  simulated protocol (`bench.data.protocol`).
+* PATCHES_KIND: a box or an oval, on which one to three patches have other weights; the same
+protocol.
+* EVEN_KIND: outlines of tools that bear evenly.
+* BOWLS_KIND, RINGS_KIND, RIMS_KIND: plates and tools whose load is gathered in the middle, in a
+ring about it, or
   out at the rim.
 
 The last four are pushed at random places, and their poses are seen with noise. The outlines are
@@ -19,46 +21,51 @@ import shapely
 from numpy.typing import ArrayLike
 from shapely import Point, Polygon, affinity
 
-from gridpush_drake.bench.plant import draw_push
-from gridpush_drake.bench.protocol import SUPPORT_FRICTION, add_pose_noise, hide_parts, push_object
+from gridpush_drake.bench.data.protocol import (
+    SUPPORT_FRICTION,
+    add_pose_noise,
+    hide_parts,
+    push_object,
+)
+from gridpush_drake.bench.worlds.plant import draw_push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-TOOLS = "tools"
+TOOLS_KIND = "tools"
 """Kind of a body of pieces in a row."""
 
-PATCHES = "patches"
+PATCHES_KIND = "patches"
 """Kind of a body with patches of other weights."""
 
-EVEN = "even"
+EVEN_KIND = "even"
 """Kind of a body that bears evenly."""
 
-BOWLS = "bowls"
+BOWLS_KIND = "bowls"
 """Kind of a body whose load is gathered in the middle."""
 
-RINGS = "rings"
+RINGS_KIND = "rings"
 """Kind of a body whose load lies in a ring about the middle."""
 
-RIMS = "rims"
+RIMS_KIND = "rims"
 """Kind of a body whose load lies at the rim."""
 
-BY_PART = (TOOLS, PATCHES)
+BY_PART = (TOOLS_KIND, PATCHES_KIND)
 """Kinds of bodies of several weights, which are pushed as in the paper's simulated protocol."""
 
 MAX_CELLS = 127
 """Greatest number of cells of a body, as in the paper's protocol."""
 
-PARTS = (2, 4)
+PART_COUNT_RANGE = (2, 4)
 """Least and greatest number of parts of a body of several weights."""
 
-MIN_SHARE = 0.05
-"""Smallest share of the cells that a part may have."""
+MIN_FRACTION = 0.05
+"""Smallest fraction of the cells that a part may have."""
 
-MAX_SHARE = 0.6
-"""Largest share of the cells that a part may have where there are more than two."""
+MAX_FRACTION = 0.6
+"""Largest fraction of the cells that a part may have where there are more than two."""
 
 MASS_RATIO = (2.0, 40.0)
 """Least and greatest ratio of the heaviest part's cells to the lightest one's. Its logarithm is
@@ -70,17 +77,17 @@ PIECE_LENGTH = (0.03, 0.25)
 PIECE_WIDTH = (0.02, 0.14)
 """Least and greatest width of a tool's piece, m; drawn evenly by its logarithm."""
 
-OVERLAP = 0.1
-"""Share of a piece's length by which the next piece overlaps it."""
+PIECE_OVERLAP = 0.1
+"""Fraction of a piece's length by which the next piece overlaps it."""
 
-OVAL = 0.3
+OVAL_PROBABILITY = 0.3
 """Probability that a piece is an oval and not a box."""
 
-SHIFTED = 0.4
+SHIFT_PROBABILITY = 0.4
 """Probability that a piece lies off the tool's axis."""
 
 MAX_SHIFT = 0.4
-"""Greatest distance of such a piece from the axis, as a share of its width."""
+"""Greatest distance of such a piece from the axis, as a fraction of its width."""
 
 PLATE_OVAL = 0.5
 """Probability that a plate or a patch is an oval and not a box."""
@@ -89,9 +96,10 @@ PLATE_SIZE = (0.1, 0.25)
 """Least and greatest length and width of a plate, m."""
 
 PATCH_SIZE = (0.2, 0.9)
-"""Least and greatest size of a patch, as a share of the plate's; drawn evenly by its logarithm."""
+"""Least and greatest size of a patch, as a fraction of the plate's; drawn evenly by its
+logarithm."""
 
-TOOL_SHARE = 0.3
+TOOL_FRACTION = 0.3
 """Probability that a round load lies on a tool, and not on a plate."""
 
 BOWL_RADIUS = (0.35, 0.7)
@@ -112,16 +120,16 @@ LEAST_LOAD = 1e-3
 CONTACT_FRICTION = 0.4
 """Friction of the pusher on a body whose load is round."""
 
-POINTED = 0.2
+POINT_PATCH_FRACTION = 0.2
 """On what part of its side a cell of a round load touches the table, see `CellParameters`."""
 
 PUSHER_RADIUS = 0.008
 """Radius of the pusher of random pushes, m."""
 
-OBSERVATIONS = 5
+OBSERVATION_COUNT = 5
 """Number of poses that are seen of a random push after its first one."""
 
-SUBSTEPS = 20
+SUBSTEP_COUNT = 20
 """Number of steps that a random push is simulated in between two of them."""
 
 
@@ -147,12 +155,16 @@ def draw_tool(rng: np.random.Generator) -> GridObject:
     while True:
         pieces = []
         x = 0.0
-        for _ in range(rng.integers(PARTS[0], PARTS[1] + 1)):
+        for _ in range(rng.integers(PART_COUNT_RANGE[0], PART_COUNT_RANGE[1] + 1)):
             length, width = np.exp(rng.uniform(*np.log(np.transpose([PIECE_LENGTH, PIECE_WIDTH]))))
-            shift = rng.uniform(-MAX_SHIFT, MAX_SHIFT) * width if rng.random() < SHIFTED else 0.0
-            piece = _draw_shape(rng, length, width, OVAL)
+            shift = (
+                rng.uniform(-MAX_SHIFT, MAX_SHIFT) * width
+                if rng.random() < SHIFT_PROBABILITY
+                else 0.0
+            )
+            piece = _draw_shape(rng, length, width, OVAL_PROBABILITY)
             pieces.append(affinity.translate(piece, x + length / 2, shift))
-            x += (1 - OVERLAP) * length
+            x += (1 - PIECE_OVERLAP) * length
         turn = rng.uniform(0, 360)
         pieces = [affinity.rotate(piece, turn, origin=(0, 0)) for piece in pieces]
         parts = dict(enumerate(pieces, start=1))
@@ -169,7 +181,7 @@ def draw_patches(rng: np.random.Generator) -> GridObject:
         size = np.array([right - left, top - bottom])
         # What no patch covers is part 1.
         patches = {}
-        for label in range(2, rng.integers(PARTS[0], PARTS[1] + 1) + 1):
+        for label in range(2, rng.integers(PART_COUNT_RANGE[0], PART_COUNT_RANGE[1] + 1) + 1):
             least, greatest = np.log(PATCH_SIZE)
             length, width = np.exp(rng.uniform(least, greatest, 2)) * size
             patch = _draw_shape(rng, length, width, PLATE_OVAL)
@@ -194,17 +206,19 @@ def draw_part_masses(obj: GridObject, rng: np.random.Generator) -> CellParameter
 
 
 def draw_round_load(kind: str, obj: GridObject, rng: np.random.Generator) -> CellParameters:
-    """Draws loads that depend on the distance from the middle alone, for BOWLS, RINGS or RIMS."""
+    """Draws loads by the distance from the middle, for BOWLS_KIND, RINGS_KIND or RIMS_KIND."""
     r = np.linalg.norm(obj.p_BC - obj.p_BC.mean(axis=0), axis=1) / obj.radius_of_gyration
-    if kind == BOWLS:
+    if kind == BOWLS_KIND:
         off = r / rng.uniform(*BOWL_RADIUS)
-    elif kind == RINGS:
+    elif kind == RINGS_KIND:
         off = (r - rng.uniform(*RING_RADIUS)) / RING_WIDTH
     else:
         off = (r - r.max()) / RIM_WIDTH
     load = np.exp(-0.5 * off**2) + LEAST_LOAD
     friction = np.full(obj.n, SUPPORT_FRICTION)
-    return CellParameters(load / load.sum(), friction, CONTACT_FRICTION, patch_ratio=POINTED)
+    return CellParameters(
+        load / load.sum(), friction, CONTACT_FRICTION, patch_ratio=POINT_PATCH_FRACTION
+    )
 
 
 def push_at_random(
@@ -214,10 +228,12 @@ def push_at_random(
     seen = []
     for i in range(count):
         push, pose = draw_push(Model(obj, truth), int(rng.integers(2**31)), PUSHER_RADIUS)
-        times = np.linspace(0, push.duration, OBSERVATIONS * SUBSTEPS + 1)
+        times = np.linspace(0, push.duration, OBSERVATION_COUNT * SUBSTEP_COUNT + 1)
         motion = simulate(Model(obj, truth), push, pose, times=times, regime="quasi_static")
-        poses = np.array([add_pose_noise(pose, rng) for pose in motion.poses[::SUBSTEPS]])
-        seen.append(ObservedPush(f"push_{i + 1}", push, poses[0], times[::SUBSTEPS][1:], poses[1:]))
+        poses = np.array([add_pose_noise(pose, rng) for pose in motion.poses[::SUBSTEP_COUNT]])
+        seen.append(
+            ObservedPush(f"push_{i + 1}", push, poses[0], times[::SUBSTEP_COUNT][1:], poses[1:])
+        )
     return PushLog(tuple(seen))
 
 
@@ -225,14 +241,14 @@ def draw_body(kind: str, seed: int, training: int, held_out: int) -> RandomBody:
     """Draws a body and pushes it.
 
     Args:
-        kind: one of KINDS.
+        kind: one of BODY_DRAWERS.
         seed: seed of everything random.
         training: number of pushes to learn from.
-        held_out: number of pushes that are held out, at most. Of the protocol's ten pushes of TOOLS
-            and PATCHES those that are not learned from are held out.
+        held_out: number of pushes that are held out, at most. Of the protocol's ten pushes of
+            TOOLS_KIND and PATCHES_KIND those that are not learned from are held out.
     """
-    rng = np.random.default_rng([seed, list(KINDS).index(kind)])
-    obj, truth = KINDS[kind](kind, rng)
+    rng = np.random.default_rng([seed, list(BODY_DRAWERS).index(kind)])
+    obj, truth = BODY_DRAWERS[kind](kind, rng)
     count = training + held_out
     log = push_object(obj, truth) if kind in BY_PART else push_at_random(obj, truth, count, rng)
     order = rng.permutation(len(log))
@@ -260,20 +276,20 @@ def _draw_even(kind: str, rng: np.random.Generator) -> tuple[GridObject, CellPar
 
 
 def _draw_round(kind: str, rng: np.random.Generator) -> tuple[GridObject, CellParameters]:
-    if rng.random() < TOOL_SHARE:
+    if rng.random() < TOOL_FRACTION:
         obj = draw_tool(rng)
     else:
         obj = GridObject.from_outline(_draw_plate(rng), max_cells=MAX_CELLS, name="plate")
     return obj, draw_round_load(kind, obj, rng)
 
 
-KINDS: dict[str, Callable[[str, np.random.Generator], tuple[GridObject, CellParameters]]] = {
-    TOOLS: _draw_tools,
-    PATCHES: _draw_patches,
-    EVEN: _draw_even,
-    BOWLS: _draw_round,
-    RINGS: _draw_round,
-    RIMS: _draw_round,
+BODY_DRAWERS: dict[str, Callable[[str, np.random.Generator], tuple[GridObject, CellParameters]]] = {
+    TOOLS_KIND: _draw_tools,
+    PATCHES_KIND: _draw_patches,
+    EVEN_KIND: _draw_even,
+    BOWLS_KIND: _draw_round,
+    RINGS_KIND: _draw_round,
+    RIMS_KIND: _draw_round,
 }
 """What draws an object of a kind, with its masses and frictions."""
 
@@ -307,6 +323,6 @@ def _fill(outline: Polygon, parts: dict[int, Polygon], name: str) -> GridObject 
         Polygon(outline.exterior), parts=areas, max_cells=MAX_CELLS, name=name
     )
     count = max(parts)
-    shares = np.array([(obj.labels == label).mean() for label in range(1, count + 1)])
-    most = MAX_SHARE if count > PARTS[0] else 1 - MIN_SHARE
-    return obj if shares.min() >= MIN_SHARE and shares.max() <= most else None
+    fractions = np.array([(obj.labels == label).mean() for label in range(1, count + 1)])
+    most = MAX_FRACTION if count > PART_COUNT_RANGE[0] else 1 - MIN_FRACTION
+    return obj if fractions.min() >= MIN_FRACTION and fractions.max() <= most else None

@@ -24,13 +24,13 @@ from gridpush_drake.files import read_text, write_whole
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.ground_truth import FEET_SLACK, draw_feet
-from gridpush_drake.multibody.mjcf import SINKAGE
+from gridpush_drake.multibody.mjcf import FOUNDATION_SINKAGE
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-OUTLINES = ("claw_hammer", "combination_wrench", "open_book", "toolbox", "spray_bottle")
+OUTLINE_NAMES = ("claw_hammer", "combination_wrench", "open_book", "toolbox", "spray_bottle")
 """Shipped objects."""
 
 OWN_WEIGHT = "own_weight"
@@ -39,20 +39,20 @@ OWN_WEIGHT = "own_weight"
 HALF_HEIGHT = "half_height"
 """Kind of such a body that is pushed at half its height."""
 
-FOUNDATION = "foundation"
+FOUNDATION_KIND = "foundation"
 """Kind of a body with an evenly compliant bottom."""
 
-VERTICES = "vertices"
+VERTICES_KIND = "vertices"
 """Kind of a body that stands on uneven rigid feet at the vertices of its hull."""
 
 THREE_FEET = "three_feet"
 """Kind of a body that stands on three rigid feet."""
 
-FLAT = "flat"
+FLAT_KIND = "flat"
 """Kind of a rigid body whose bottom is flat: it bears at the vertices of its hull, which all end at
 one height, and at the table's edge. It is for presses at that edge only."""
 
-KINDS = (OWN_WEIGHT, HALF_HEIGHT, FOUNDATION, VERTICES, THREE_FEET)
+TRUTH_KINDS = (OWN_WEIGHT, HALF_HEIGHT, FOUNDATION_KIND, VERTICES_KIND, THREE_FEET)
 """Kinds of truth; see `bench.truth.mujoco_world`."""
 
 MASS_RATIO = (3.0, 10.0)
@@ -71,34 +71,34 @@ CONTACT_FRICTION = 0.5
 CONTACT_FRICTION_STD = 0.15
 """Standard deviation of that belief."""
 
-TRAINING = 18
+TRAINING_PUSH_COUNT = 18
 """Number of pushes of a set to learn from."""
 
 HELD_OUT = 10
 """Number of pushes of a set that are held out."""
 
-DISTANCE = 0.1
+PUSH_LENGTH = 0.1
 """Length of a push, m."""
 
 SPEED_RANGE = (0.02, 0.05)
 """Least and greatest speed of the pusher, m/s."""
 
-SLANT = np.radians(30)
+MAX_PUSH_ANGLE = np.radians(30)
 """Greatest angle of a push from the outline's inward normal, rad."""
 
-CLEARANCE = 5e-4
+PUSHER_CLEARANCE = 5e-4
 """Distance of the pusher from the outline when a push begins, m."""
 
-REACH = 0.1
+MAX_BODY_OFFSET = 0.1
 """Greatest distance of the body from the world's origin when a push begins, per axis, m."""
 
 MIN_MOTION = 0.01
 """Mean distance that a push must move the cells, m; pushes that move them less are drawn again."""
 
-OBSERVATIONS = 10
+OBSERVATION_COUNT = 10
 """Number of poses that are seen during a push, evenly spaced, its end among them."""
 
-UNEVENNESS = 3e-4
+MAX_UNEVENNESS = 3e-4
 """Greatest height of a vertex above the lowest one, m."""
 
 FOOT_HEIGHT = 1e-3
@@ -108,13 +108,13 @@ are over the edge."""
 BEARING_FEET = 3
 """Number of feet that share a rigid body's weight, which says how stiff its feet are."""
 
-TRIES = 20000
+MAX_PUSH_TRIES = 20000
 """Number of random pushes that are tried before it is said that none moves the body."""
 
-OBJECT = "object.yaml"
+OBJECT_FILE = "object.yaml"
 """File of a set that has the object."""
 
-PUSHES = "pushes.csv"
+PUSHES_FILE = "pushes.csv"
 """File of a set that has the pushes to learn from."""
 
 HELD_OUT_PUSHES = "heldout.csv"
@@ -123,13 +123,13 @@ HELD_OUT_PUSHES = "heldout.csv"
 DESIGNED_PUSHES = "designed.csv"
 """File of a set that has pushes chosen by what tells most; see `bench.truth.design`."""
 
-TRUTH = "truth.json"
+TRUTH_FILE = "truth.json"
 """File of a set that has the truth."""
 
-WHAT = (
+EXPECTED_TRUTH = (
     "a truth (JSON with kind, outline, seed, mass, friction, contact_friction, loads, push_height)"
 )
-"""What TRUTH should hold, for errors."""
+"""What TRUTH_FILE should hold, for errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ class TruthSet:
     """Pushes of one hidden body.
 
     Attributes:
-        kind: one of KINDS.
+        kind: one of TRUTH_KINDS.
         name: name of the outline.
         seed: seed of all that was drawn.
         obj: the object as whoever learns sees it: one part, total mass and bounds of its friction.
@@ -165,12 +165,12 @@ class TruthSet:
 
 
 def make_set(
-    kind: str, name: str, seed: int, training: int = TRAINING, held_out: int = HELD_OUT
+    kind: str, name: str, seed: int, training: int = TRAINING_PUSH_COUNT, held_out: int = HELD_OUT
 ) -> TruthSet:
     """Draws a hidden body and pushes it.
 
     Args:
-        kind: one of KINDS.
+        kind: one of TRUTH_KINDS.
         name: name of a shipped object.
         seed: seed of all that is drawn; masses are the same for every kind.
         training: number of pushes to learn from.
@@ -205,7 +205,7 @@ def draw_world(
     """Draws a hidden body, and puts it on a table without edges.
 
     Args:
-        kind: one of KINDS.
+        kind: one of TRUTH_KINDS.
         name: name of a shipped object.
         seed: seed of all that is drawn; masses are the same for every kind.
 
@@ -221,9 +221,9 @@ def draw_world(
     obj, params = draw_masses(name, rng)
     body = make_body(kind, obj, params, rng)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    told = replace(obj.prior, pusher_radius=radius, push_height=body.push_height or None)
-    world = MujocoWorld(body, radius, observations=OBSERVATIONS)
-    return replace(obj, prior=told), world, rng
+    known_prior = replace(obj.prior, pusher_radius=radius, push_height=body.push_height or None)
+    world = MujocoWorld(body, radius, observations=OBSERVATION_COUNT)
+    return replace(obj, prior=known_prior), world, rng
 
 
 def draw_masses(name: str, rng: np.random.Generator) -> tuple[GridObject, CellParameters]:
@@ -262,13 +262,13 @@ def make_body(
     """Puts an object of given masses on feet.
 
     Args:
-        kind: one of KINDS, or FLAT.
+        kind: one of TRUTH_KINDS, or FLAT.
         obj: the object.
         params: its masses and frictions.
         rng: draws what is random about the feet.
         height: height at which it is pushed, m; an OWN_WEIGHT is pushed at the table's height.
         rim_gap: height of the underside of a body on rigid feet above the table, m. Those at the
-            vertices are uneven by as much, but by no more than UNEVENNESS.
+            vertices are uneven by as much, but by no more than MAX_UNEVENNESS.
 
     Raises:
         GridPushError: the kind is not known.
@@ -281,23 +281,23 @@ def make_body(
         feet=obj.p_BC,
         cell=np.arange(obj.n),
         load=params.mass * GRAVITY,
-        sinkage=SINKAGE,
+        sinkage=FOUNDATION_SINKAGE,
         gap=np.zeros(obj.n),
         push_height=0.0 if kind == OWN_WEIGHT else height,
     )
     if kind in (OWN_WEIGHT, HALF_HEIGHT):
         return soft
-    if kind == FOUNDATION:
+    if kind == FOUNDATION_KIND:
         return replace(soft, load=np.full(obj.n, weight / obj.n))
 
     # Rigid feet, at the vertices of the hull too: there they end above the table, and touch it only
     # where the body tips.
     rim = shapely.get_coordinates(obj.outline.convex_hull)[:-1]
     rim_cell = np.linalg.norm(rim[:, None] - obj.p_BC, axis=2).argmin(axis=1)
-    if kind == VERTICES:
+    if kind == VERTICES_KIND:
         feet = rim
         cell = rim_cell
-        gap = rng.uniform(0, min(UNEVENNESS, rim_gap), len(rim))
+        gap = rng.uniform(0, min(MAX_UNEVENNESS, rim_gap), len(rim))
     elif kind == THREE_FEET:
         three = draw_feet(
             Model(obj, params), float(params.friction.max()) * height + FEET_SLACK, rng
@@ -305,13 +305,15 @@ def make_body(
         feet = np.concatenate([obj.p_BC[three], rim])
         cell = np.concatenate([three, rim_cell])
         gap = np.concatenate([np.zeros(len(three)), np.full(len(rim), rim_gap)])
-    elif kind == FLAT:
+    elif kind == FLAT_KIND:
         feet = rim
         cell = rim_cell
         gap = np.zeros(len(rim))
         rim_gap = 0.0
     else:
-        raise GridPushError(f"kind: {kind!r}; expected one of {', '.join((*KINDS, FLAT))}")
+        raise GridPushError(
+            f"kind: {kind!r}; expected one of {', '.join((*TRUTH_KINDS, FLAT_KIND))}"
+        )
     return replace(
         soft,
         feet=feet,
@@ -328,21 +330,30 @@ def draw_push(world: MujocoWorld, name: str, rng: np.random.Generator) -> Observ
     """Draws a pose of a world's body and a push that moves it, and makes the push.
 
     Raises:
-        GridPushError: none of TRIES random pushes moves the body by MIN_MOTION.
+        GridPushError: none of MAX_PUSH_TRIES random pushes moves the body by MIN_MOTION.
     """
     obj = world.body.obj
     radius = world.radius
-    for _ in range(TRIES):
-        pose = np.array([*rng.uniform(-REACH, REACH, 2), rng.uniform(-np.pi, np.pi)])
+    for _ in range(MAX_PUSH_TRIES):
+        pose = np.array(
+            [*rng.uniform(-MAX_BODY_OFFSET, MAX_BODY_OFFSET, 2), rng.uniform(-np.pi, np.pi)]
+        )
         place = rng.uniform(0, obj.edges.perimeter)
-        angle = rng.uniform(-SLANT, SLANT)
+        angle = rng.uniform(-MAX_PUSH_ANGLE, MAX_PUSH_ANGLE)
         speed = rng.uniform(*SPEED_RANGE)
         point, _, normal = obj.edges.at(place)
         # In a notch the pusher may not reach the place without touching another one.
-        if obj.outline.distance(Point(point + normal * (radius + CLEARANCE))) < radius:
+        if obj.outline.distance(Point(point + normal * (radius + PUSHER_CLEARANCE))) < radius:
             continue
         push = Push.on_outline(
-            obj, place, angle, DISTANCE, radius=radius, speed=speed, pose=pose, clearance=CLEARANCE
+            obj,
+            place,
+            angle,
+            PUSH_LENGTH,
+            radius=radius,
+            speed=speed,
+            pose=pose,
+            clearance=PUSHER_CLEARANCE,
         )
         world.put(pose)
         seen = world.execute(push)
@@ -351,7 +362,9 @@ def draw_push(world: MujocoWorld, name: str, rng: np.random.Generator) -> Observ
         begin, end = obj.cells_at(motion.poses[[0, -1]])
         if np.linalg.norm(end - begin, axis=1).mean() >= MIN_MOTION:
             return replace(seen, name=name, pose=motion.poses[0])
-    raise GridPushError(f"{obj.name}: none of {TRIES} random pushes moves it by {MIN_MOTION:g} m")
+    raise GridPushError(
+        f"{obj.name}: none of {MAX_PUSH_TRIES} random pushes moves it by {MIN_MOTION:g} m"
+    )
 
 
 def write_set(made: TruthSet, folder: Path, force: bool = False) -> None:
@@ -379,10 +392,10 @@ def write_set(made: TruthSet, folder: Path, force: bool = False) -> None:
         "object_height": BODY_HEIGHT,
     }
     folder.mkdir(parents=True, exist_ok=True)
-    made.obj.write_yaml(folder / OBJECT, force)
-    made.training.write_csv(folder / PUSHES, force)
+    made.obj.write_yaml(folder / OBJECT_FILE, force)
+    made.training.write_csv(folder / PUSHES_FILE, force)
     made.held_out.write_csv(folder / HELD_OUT_PUSHES, force)
-    write_whole(folder / TRUTH, json.dumps(truth, indent=1) + "\n", force)
+    write_whole(folder / TRUTH_FILE, json.dumps(truth, indent=1) + "\n", force)
 
 
 def read_set(folder: Path) -> TruthSet:
@@ -397,14 +410,14 @@ def read_set(folder: Path) -> TruthSet:
     Raises:
         GridPushError: a file is not there or not of its form.
     """
-    obj = GridObject.from_yaml(folder / OBJECT)
+    obj = GridObject.from_yaml(folder / OBJECT_FILE)
     logs = [
         PushLog.read_csv(folder / name, obj.prior.pusher_radius)
-        for name in (PUSHES, HELD_OUT_PUSHES)
+        for name in (PUSHES_FILE, HELD_OUT_PUSHES)
     ]
-    path = folder / TRUTH
+    path = folder / TRUTH_FILE
     try:
-        truth = json.loads(read_text(path, WHAT, GridPushError))
+        truth = json.loads(read_text(path, EXPECTED_TRUTH, GridPushError))
         params = CellParameters(truth["mass"], truth["friction"], truth["contact_friction"])
         loads = np.array(truth["loads"], dtype=np.float64)
         height = float(truth["push_height"])
@@ -414,7 +427,7 @@ def read_set(folder: Path) -> TruthSet:
         name = str(truth["outline"])
         seed = int(truth["seed"])
     except (ValueError, KeyError, TypeError) as error:
-        raise GridPushError(f"{path}: expected {WHAT} ({error!r})") from error
+        raise GridPushError(f"{path}: expected {EXPECTED_TRUTH} ({error!r})") from error
     return TruthSet(
         kind=kind,
         name=name,

@@ -11,13 +11,13 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.results import open_results
 from gridpush_drake.bench.study import Study
-from gridpush_drake.bench.table import Table
-from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_json, print_table, to_json, work_progress
+from gridpush_drake.cli.shell import options
+from gridpush_drake.cli.shell.console import print_json, print_table, to_json, work_progress
 from gridpush_drake.files import write_whole
+from gridpush_drake.jobs.results import open_results
+from gridpush_drake.jobs.run import Execution
+from gridpush_drake.report.table import Table
 
 Out = Annotated[
     Path | None,
@@ -41,7 +41,7 @@ ResultsFile = Annotated[
 OF_JOBS: dict[str, tuple[Any, Any]] = {
     "quick": (Quick, False),
     "seed": (options.Seed, 0),
-    "workers": (options.Workers, options.WORKERS),
+    "workers": (options.Workers, options.DEFAULT_WORKERS),
     "dask": (options.Dask, None),
     "results": (ResultsFile, None),
 }
@@ -151,7 +151,7 @@ def _annotate(each: Field[Any], kind: Any) -> Any:
     return Annotated[_to_list(kind), typer.Option(*names, **settings)]
 
 
-LISTS = {
+LIST_TYPES = {
     tuple[str, ...]: list[str],
     tuple[str, ...] | None: list[str] | None,
     tuple[int, ...]: list[int],
@@ -162,7 +162,7 @@ LISTS = {
 
 def _to_list(kind: Any) -> Any:
     """Returns a type as Typer takes it: a list where the option may be repeated."""
-    return LISTS.get(kind, kind)
+    return LIST_TYPES.get(kind, kind)
 
 
 def _to_tuple(value: Any) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from gridpush_drake.cli.lazy_group import LazyCommand, LazyGroup, make_single
+from gridpush_drake.cli.shell.lazy_group import LazyCommand, LazyGroup, make_single
 
 BENCHES: dict[str, LazyCommand] = {
     "speed": LazyCommand(
@@ -44,7 +44,7 @@ BENCHES: dict[str, LazyCommand] = {
         "Let the whole station poke objects, slide them to the table's edge, grasp and lift them.",
     ),
     "weighing": LazyCommand(
-        "gridpush_drake.bench.weighing:STUDY",
+        "gridpush_drake.bench.tilt_tests.experiments:STUDY",
         "Find mass, center of mass and friction of objects of which nothing is told, by pushes "
         "and presses at the table's edge.",
     ),
@@ -59,7 +59,7 @@ BENCHES: dict[str, LazyCommand] = {
         "which ones pay.",
     ),
     "feedback": LazyCommand(
-        "gridpush_drake.bench.feedback:STUDY",
+        "gridpush_drake.bench.steering.experiments:STUDY",
         "Push learned objects with feedback, along paths, to goals and back after shoves: in the "
         "LCP world, and bodies in MuJoCo.",
     ),
@@ -69,21 +69,21 @@ BENCHES: dict[str, LazyCommand] = {
         "station learn.",
     ),
     "scene": LazyCommand(
-        "gridpush_drake.bench.scene:STUDY",
+        "gridpush_drake.bench.multi_object.experiments:STUDY",
         "Compare the model of objects that push each other with Drake's plant and MuJoCo, learn "
         "such objects together, and time their pushes.",
     ),
     "scene-tasks": LazyCommand(
-        "gridpush_drake.bench.scene_tasks:STUDY",
+        "gridpush_drake.bench.multi_object.scene_tasks:STUDY",
         "Rearrange and separate several objects, and fetch one of them, in the plain world: "
         "success, simulated time, pushes.",
     ),
     "perception": LazyCommand(
-        "gridpush_drake.bench.perception:STUDY",
+        "gridpush_drake.bench.perception.experiments:STUDY",
         "Find objects in photographs, real and rendered, and track them while they are pushed.",
     ),
     "gym": LazyCommand(
-        "gridpush_drake.bench.gym:STUDY",
+        "gridpush_drake.bench.games.environments:STUDY",
         "Time the Gymnasium environments; let our planner, a small learned player and chance "
         "play them.",
     ),

@@ -52,7 +52,7 @@ DIGEST_LENGTH = 16
 KEY_LENGTH = 24
 """Hexadecimal digits of the hash of a function's argument types, in its file's name."""
 
-UNUSED = 30 * 86400.0
+MAX_UNUSED_TIME = 30 * 86400.0
 """s since a folder was last used, after which it is removed."""
 
 FOLDER_MODE = 0o755
@@ -61,10 +61,10 @@ FOLDER_MODE = 0o755
 FILE_MODE = 0o644
 """Mode of a file in the cache: everybody may read it, only its owner may write it."""
 
-ROOT = 0
+ROOT_USER = 0
 """Number of the user who may change everything anyway."""
 
-KERNELS = Path(__file__).parent
+KERNELS_FOLDER = Path(__file__).parent
 
 _THIS_PROCESS = secrets.token_hex(8)
 """A word that no other process has."""
@@ -72,7 +72,7 @@ _THIS_PROCESS = secrets.token_hex(8)
 POLL_TIME = 0.02
 """Time between two looks for a file that another process is to write, s."""
 
-NOTICE = "gridpush: compiling kernels (once a machine, takes up to a minute) ..."
+COMPILING_NOTICE = "gridpush: compiling kernels (once a machine, takes up to a minute) ..."
 """Said on standard error by the first call that compiles."""
 
 
@@ -167,8 +167,8 @@ def calc_digest(source: Path) -> str:
     Returns:
         `DIGEST_LENGTH` hexadecimal digits, the same in every checkout of the same sources.
     """
-    files = sorted(KERNELS.glob("*.py"))
-    if source.parent != KERNELS:
+    files = sorted(KERNELS_FOLDER.rglob("*.py"))
+    if KERNELS_FOLDER not in source.parents:
         files.append(source)
     digest = hashlib.sha256()
     for file in files:
@@ -189,11 +189,11 @@ def find_cache_folder(source: Path) -> Path | None:
     folders = []
     for place in _list_places():
         folder = Path(os.path.realpath(place / name))
-        doubt = find_doubt(folder)
-        if doubt is None:
+        fault = find_ownership_fault(folder)
+        if fault is None:
             folders.append(folder)
         else:
-            _say_once(f"gridpush: {place} is not used for compiled kernels: {doubt}")
+            _say_once(f"gridpush: {place} is not used for compiled kernels: {fault}")
     for folder in folders:
         with suppress(OSError):
             if any(folder.iterdir()):
@@ -222,10 +222,10 @@ def _list_places() -> list[Path]:
         # a user whom the system does not know by name has no home
         with suppress(RuntimeError):
             places.append(Path.home() / ".cache" / "gridpush_drake")
-    return [*places, KERNELS / "__pycache__"]
+    return [*places, KERNELS_FOLDER / "__pycache__"]
 
 
-def find_doubt(folder: Path) -> str | None:
+def find_ownership_fault(folder: Path) -> str | None:
     """Says why what is in a folder may be another user's.
 
     Args:
@@ -244,7 +244,7 @@ def find_doubt(folder: Path) -> str | None:
             return f"{part} cannot be looked at ({error.strerror})"
         if not stat.S_ISDIR(found.st_mode):
             return f"{part} is not a folder"
-        if found.st_uid not in (os.getuid(), ROOT):
+        if found.st_uid not in (os.getuid(), ROOT_USER):
             return f"{part} belongs to another user"
         # in a folder with the sticky bit, such as /tmp, others cannot rename what is mine
         sticky = part != folder and found.st_mode & stat.S_ISVTX
@@ -281,7 +281,7 @@ def _remove_unused(place: Path) -> None:
     """
     for folder in place.glob(f"kernels-{'[0-9a-f]' * DIGEST_LENGTH}"):
         with suppress(OSError):
-            if time.time() - folder.stat().st_mtime > UNUSED:
+            if time.time() - folder.stat().st_mtime > MAX_UNUSED_TIME:
                 shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -350,7 +350,7 @@ class KernelCache(NumbaCache):
                 with suppress(OSError):
                     file.unlink()
         if compiled is None:
-            _say_once(NOTICE)
+            _say_once(COMPILING_NOTICE)
         return compiled
 
     def _wait_for_others(self, file: Path) -> None:
@@ -358,7 +358,7 @@ class KernelCache(NumbaCache):
         if _OTHERS is None or self._source not in _OTHERS.sources:
             return
         while not file.exists() and _OTHERS.at_work():
-            _say_once(NOTICE)
+            _say_once(COMPILING_NOTICE)
             time.sleep(POLL_TIME)
 
     def save_overload(self, signature: Any, data: Any) -> None:
@@ -420,7 +420,7 @@ def _read(file: Path) -> bytes | None:
         return None
     with os.fdopen(descriptor, "rb") as opened:
         found = os.fstat(descriptor)
-        mine = stat.S_ISREG(found.st_mode) and found.st_uid in (os.getuid(), ROOT)
+        mine = stat.S_ISREG(found.st_mode) and found.st_uid in (os.getuid(), ROOT_USER)
         if not mine or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             return None
         content = opened.read()

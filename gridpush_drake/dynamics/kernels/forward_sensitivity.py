@@ -6,7 +6,7 @@ the yaw rate. The disc's center and velocity vary by
 
     dt = -s_xy - s_theta z × t + R^T dtip,     dv_p = -s_theta z × v_p + R^T dv_tip
 
-Columns, n + OTHER in all:
+Columns, n + OTHER_COLUMNS in all:
 
     k_1..k_n | m, cx, cy, I | mu_c | start x, start y, direction, length | first x, y, theta
 
@@ -39,7 +39,7 @@ from gridpush_drake.dynamics.kernels.small_matrix import apply_row
 ) = range(12)
 """Offsets of the columns after those of the n cell frictions."""
 
-OTHER = 12
+OTHER_COLUMNS = 12
 """Number of those columns."""
 
 F_ROW = 9
@@ -68,7 +68,7 @@ def start_columns(Q, n, state):
     The pose varies by itself, and the velocity with the pose and with the center of mass.
 
     Args:
-        Q: (9, n + OTHER) zeros; rows 0-2 are s, 3-5 v.
+        Q: (9, n + OTHER_COLUMNS) zeros; rows 0-2 are s, 3-5 v.
         n: number of columns of cells.
         state: `State` at the beginning.
     """

@@ -80,10 +80,10 @@ class Scheme(NamedTuple):
 
     Attributes:
         inertial: the regime.
-        ahead: share of a step after which it looks at the body: 0.5, or 0.
+        ahead: fraction of a step after which it looks at the body: 0.5, or 0.
         stiction: tolerance of the inertial regime, m/s.
-        relative_stiction: the least tolerance, as a share of the speed.
-        early_end: residual, as a share of the load, below which the Newton step that follows is
+        relative_stiction: the least tolerance, as a fraction of the speed.
+        early_end: residual, as a fraction of the load, below which the Newton step that follows is
             taken to solve the step, without being checked; 0 for none.
     """
 

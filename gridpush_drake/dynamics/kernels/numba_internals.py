@@ -9,7 +9,7 @@ they are needed. What stands here is not documented, and any version of Numba ma
   `rebuild_result`, `can_be_kept`), and Numba's pickle for it (`dump`);
 * the machine that code is made for (`describe_machine`, `get_codegen`);
 * four options of `njit`: `_nrt`, `no_cpython_wrapper`, `no_cfunc_wrapper` and `forceinline`
-  (`make_dispatcher`, `BORROWED`);
+  (`make_dispatcher`, `BORROWED_OPTIONS`);
 * the library that a compiler fills, and the moment before it is optimized, at which its functions
   are closed to other files (`make_closed_compiler`);
 * `compile` of a dispatcher (`compile_for`), and `instance_class` of a named tuple's type
@@ -28,10 +28,10 @@ import numba
 
 from gridpush_drake.errors import NumbaError
 
-KNOWN = "0.68"
+KNOWN_NUMBA_VERSION = "0.68"
 """Version of Numba of which all this is known to be true."""
 
-CACHE = "_cache"
+CACHE_ATTRIBUTE = "_cache"
 """Attribute of a dispatcher that holds its cache."""
 
 CACHE_MEMBERS = frozenset(
@@ -48,26 +48,26 @@ NO_PYTHON = "no_cpython_wrapper"
 NO_C = "no_cfunc_wrapper"
 """Option that leaves out the form of a function that C calls."""
 
-INLINED = "forceinline"
+INLINE_OPTION = "forceinline"
 """Option that makes a function's code part of every function that calls it.
 
 A function for which it is not set takes it from whichever function has it compiled first."""
 
-SHARED = "linkonce_odr"
+SHARED_LINKAGE = "linkonce_odr"
 """Linkage of a function of which each file that needs it holds a copy. Of all the copies that a
 process has loaded, all callers call the one that was loaded first."""
 
-ENTRY = "external"
+ENTRY_LINKAGE = "external"
 """Linkage of the functions that a file is there for."""
 
-CLOSED = "internal"
+INTERNAL_LINKAGE = "internal"
 """Linkage of a function that only its own file calls."""
 
-RUNTIME = "NRT_"
+RUNTIME_PREFIX = "NRT_"
 """Beginning of the names of the functions that count references. Numba's optimization knows them by
 their names, and they calculate nothing."""
 
-BORROWED: Any = {NO_REFERENCES: False, INLINED: True}
+BORROWED_OPTIONS: Any = {NO_REFERENCES: False, INLINE_OPTION: True}
 """Options of an `overload` that passes on what its caller holds."""
 
 
@@ -126,23 +126,23 @@ def make_dispatcher(
         NumbaError: the installed Numba is built differently.
     """
     known = _take(_import("numba.core.cpu"), "CPUTargetOptions", "numba.core.cpu")
-    for name in (NO_REFERENCES, NO_PYTHON, NO_C, INLINED):
+    for name in (NO_REFERENCES, NO_PYTHON, NO_C, INLINE_OPTION):
         _take(known, name, "numba.core.cpu.CPUTargetOptions")
     all_options: dict[str, Any] = {
         **options,
         NO_REFERENCES: counts_references,
         NO_PYTHON: not called_from_python,
         NO_C: True,
-        INLINED: inlined,
+        INLINE_OPTION: inlined,
     }
     dispatcher: Any = numba.njit(pipeline_class=make_closed_compiler(), **all_options)(function)
     if dispatcher is function:
         return dispatcher  # NUMBA_DISABLE_JIT is set: nothing is compiled, nor kept
-    its_own = _take(dispatcher, CACHE, "a dispatcher")
+    its_own = _take(dispatcher, CACHE_ATTRIBUTE, "a dispatcher")
     members = {name for name in dir(its_own) if not name.startswith("_")}
     if members != CACHE_MEMBERS:
         raise _complain(f"a dispatcher's cache with {', '.join(sorted(CACHE_MEMBERS))} alone")
-    setattr(dispatcher, CACHE, cache)
+    setattr(dispatcher, CACHE_ATTRIBUTE, cache)
     return dispatcher
 
 
@@ -174,8 +174,8 @@ def make_closed_compiler() -> type:
         def _optimize_final_module(self) -> None:
             """Closes the functions before they are optimized, and keeps them open for linking."""
             self._shared_module = self._final_module.clone()
-            _change_linkage(self._shared_module, ENTRY, SHARED)
-            _change_linkage(self._final_module, SHARED, CLOSED)
+            _change_linkage(self._shared_module, ENTRY_LINKAGE, SHARED_LINKAGE)
+            _change_linkage(self._final_module, SHARED_LINKAGE, INTERNAL_LINKAGE)
             super()._optimize_final_module()
 
     class ClosedCompiler(compiler_class):
@@ -194,14 +194,14 @@ def make_closed_compiler() -> type:
 def _change_linkage(module: Any, old: str, new: str) -> None:
     """Gives the functions of an LLVM module that have one linkage another one."""
     for function in module.functions:
-        is_runtime = function.name.startswith(RUNTIME)
+        is_runtime = function.name.startswith(RUNTIME_PREFIX)
         if not (function.is_declaration or is_runtime) and function.linkage.name == old:
             function.linkage = new
 
 
 def get_cache(dispatcher: Any) -> Any:
     """Takes the cache of a dispatcher."""
-    return _take(dispatcher, CACHE, "a dispatcher")
+    return _take(dispatcher, CACHE_ATTRIBUTE, "a dispatcher")
 
 
 def compile_for(dispatcher: Any, types: Sequence[Any]) -> None:
@@ -282,5 +282,5 @@ def _complain(missing: str) -> NumbaError:
     """Makes the error that says what this version of Numba lacks."""
     return NumbaError(
         f"Numba {numba.__version__} has no {missing}, which the compiled kernels need; "
-        f"expected another version: pip install 'numba=={KNOWN}.*'"
+        f"expected another version: pip install 'numba=={KNOWN_NUMBA_VERSION}.*'"
     )

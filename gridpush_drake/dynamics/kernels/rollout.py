@@ -14,8 +14,8 @@ from math import sqrt
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.contact import (
-    COLUMNS,
+from gridpush_drake.dynamics.kernels.contact.contact import (
+    CONTACT_COLUMNS,
     CX,
     CY,
     GAP,
@@ -28,7 +28,7 @@ from gridpush_drake.dynamics.kernels.contact import (
     look_ahead_near,
     make_near_edges,
 )
-from gridpush_drake.dynamics.kernels.contact_modes import (
+from gridpush_drake.dynamics.kernels.contact.contact_modes import (
     SEPARATE,
     Scales,
     Touch,
@@ -37,13 +37,13 @@ from gridpush_drake.dynamics.kernels.contact_modes import (
 )
 from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     F_ROW,
-    OTHER,
+    OTHER_COLUMNS,
     Columns,
     record_columns,
     start_columns,
     step_columns,
 )
-from gridpush_drake.dynamics.kernels.friction import (
+from gridpush_drake.dynamics.kernels.friction.laws import (
     begin_push,
     begin_step,
     fill_load_derivatives,
@@ -51,13 +51,18 @@ from gridpush_drake.dynamics.kernels.friction import (
 )
 from gridpush_drake.dynamics.kernels.inputs import Load, make_steps, take_first_steps
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
-from gridpush_drake.dynamics.kernels.step import CONVERGED, make_step_work, solve_step
+from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED, make_step_work, solve_step
 from gridpush_drake.dynamics.kernels.step_derivative import (
     StepDerivative,
     calc_input_derivative,
     calc_step_derivative,
 )
-from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, MOVING, recall, remember
+from gridpush_drake.dynamics.kernels.step_memory import (
+    MEMORY_SIZE,
+    MIN_MOVING_STEPS,
+    recall,
+    remember,
+)
 from gridpush_drake.dynamics.kernels.step_start import advance_state, make_state, make_step_start
 from gridpush_drake.dynamics.kernels.support_loads import (
     add_load_variations,
@@ -97,7 +102,8 @@ def rollout(
         row_of_step: (T+1,) row of J that records this step, -1 for none.
         record: `Steps`, filled.
         J: (rows, 3, width) filled, see `forward_sensitivity`; without columns where no derivative
-            is wanted. With OTHER columns those of the cells are left out; loads must not shift.
+            is wanted. With OTHER_COLUMNS columns those of the cells are left out; loads must not
+            shift.
         memory: (MEMORY_SIZE,) of the step before, updated; see `step_memory`.
     """
     n = body.cells.shape[1]
@@ -117,15 +123,15 @@ def rollout(
     unknowns = Unknowns(xi=np.zeros(3), lam=np.zeros((2, 2)), modes=np.zeros(2, np.int64))
     xi, lam, modes = unknowns
     near = make_near_edges(edges)
-    found = np.zeros((2, COLUMNS))
-    contacts = np.zeros((2, COLUMNS))
+    found = np.zeros((2, CONTACT_COLUMNS))
+    contacts = np.zeros((2, CONTACT_COLUMNS))
     work = make_step_work()
     maps = PoseMaps(A=np.zeros((3, 3)), G=np.zeros((3, 3)), L=np.zeros((3, 3)))
     derivative = StepDerivative(
         F=np.zeros((7, 7)), Y=np.zeros((3, 3)), D=np.zeros((3, 7)), E=np.zeros((3, 8))
     )
     width = J.shape[2]
-    cell_columns = min(n, max(width - OTHER, 0))
+    cell_columns = min(n, max(width - OTHER_COLUMNS, 0))
     rows = F_ROW + 2 if support.active else F_ROW
     columns = Columns(
         Q=np.zeros((rows, width)),
@@ -196,7 +202,7 @@ def rollout(
             xi[:] = 0.0
             lam[:] = 0.0
             modes[:] = SEPARATE
-            status = CONVERGED
+            status = STEP_CONVERGED
             iterations = 0
             moving_steps = 0
             derivative.Y[:] = 0.0
@@ -245,7 +251,7 @@ def rollout(
             elif moving_steps > 0:
                 columns.Q[6:F_ROW, n:] = 0.0
                 fill_load_derivatives(law, body.cells, eps, xi, columns.Q[6:])
-                fill_load_columns(support, body.cells, loads, law.k, columns.Q, OTHER)
+                fill_load_columns(support, body.cells, loads, law.k, columns.Q, OTHER_COLUMNS)
                 add_load_variations(loads, columns.Q)
             step_columns(
                 columns,
@@ -348,7 +354,7 @@ def rollout_pushes(law, body, support, edges, scheme, pushes, row_of_step, poses
         touched[p] = False
         for t in range(steps):
             modes = record.modes[t, 0] != SEPARATE or record.modes[t, 1] != SEPARATE
-            if modes or record.tips[t] or record.statuses[t, 0] != CONVERGED:
+            if modes or record.tips[t] or record.statuses[t, 0] != STEP_CONVERGED:
                 touched[p] = True
 
 
@@ -414,7 +420,7 @@ def _find_step_contacts(edges, near, radius, ahead, start, reach, found, contact
         )
     else:
         for j in range(found.shape[0]):
-            for column in range(COLUMNS):
+            for column in range(CONTACT_COLUMNS):
                 contacts[j, column] = found[j, column]
     return count, found[0, GAP]
 
@@ -492,7 +498,7 @@ def _fill_drive(body, inertial, start, point, work, force_acceleration):
 @kernel(allocates=False, inlined=True)
 def _guess_twist(xi, last_twist, moving_steps, start, moves, body):
     """Guesses the twist: extrapolated, as it was, the body's own if it moves, or the pusher's."""
-    if moving_steps >= MOVING:
+    if moving_steps >= MIN_MOVING_STEPS:
         # the last two twists, continued
         for i in range(3):
             previous = xi[i]

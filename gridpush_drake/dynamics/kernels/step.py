@@ -29,12 +29,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.contact import CX, CY, NX, NY
-from gridpush_drake.dynamics.kernels.contact_modes import calc_compliance, solve_modes
-from gridpush_drake.dynamics.kernels.friction import add_derivatives, can_majorize
+from gridpush_drake.dynamics.kernels.contact.contact import CX, CY, NX, NY
+from gridpush_drake.dynamics.kernels.contact.contact_modes import calc_compliance, solve_modes
+from gridpush_drake.dynamics.kernels.friction.laws import add_derivatives, can_majorize
 from gridpush_drake.dynamics.kernels.small_matrix import apply_row
 
-CONVERGED = 0
+STEP_CONVERGED = 0
 """Status of a step that was solved."""
 
 NOT_CONVERGED = 1
@@ -46,20 +46,21 @@ NEWTON_LIMIT = 15
 ITERATION_LIMIT = 40
 """Most Newton iterations at each tolerance of the continuation."""
 
-SLOW = 0.5
-"""If a Newton step leaves more than this share of the residual, a majorizing one follows."""
+SLOW_REDUCTION = 0.5
+"""If a Newton step leaves more than this fraction of the residual, a majorizing one follows."""
 
 FINAL_RESIDUAL = 1e-8
-"""Residual, as a share of the load, at which one last Newton step is taken: it squares the rest."""
+"""Residual, as a fraction of the load, at which one last Newton step is taken: it squares the
+rest."""
 
 MAX_RESIDUAL = 1e-6
-"""Greatest residual of a step that counts as solved, as a share of the load."""
+"""Greatest residual of a step that counts as solved, as a fraction of the load."""
 
 MAX_EARLY_CHANGE = 0.02
-"""Greatest change of the twist in a Newton step that is not checked, as a share of the speed. Where
-H is nearly singular, a small residual alone does not say that the step is small."""
+"""Greatest change of the twist in a Newton step that is not checked, as a fraction of the speed.
+Where H is nearly singular, a small residual alone does not say that the step is small."""
 
-SHARPEN = 0.1
+STICTION_FACTOR = 0.1
 """Factor by which each step of the continuation lowers the stiction tolerance."""
 
 MIN_SHARPENING = 0.97
@@ -111,7 +112,7 @@ def _calc_residual(g, touch, scales, lam):
     """Calculates how far the step's balance of forces is from zero.
 
     Returns:
-        The norm of g - sum_c J^T lam, whose moment is divided by `scales.arm`, as a share of the
+        The norm of g - sum_c J^T lam, whose moment is divided by `scales.arm`, as a fraction of the
         load and the contact forces.
     """
     contacts = touch.contacts
@@ -171,9 +172,13 @@ def _iterate(law, cells, touch, scales, eps, early_end, unknowns, work, limit):
         last = False
         if iteration > 0:
             residual = _calc_residual(g, touch, scales, unknowns.lam)
-            rounding = residual < MAX_RESIDUAL and residual > SLOW * previous
+            rounding = residual < MAX_RESIDUAL and residual > SLOW_REDUCTION * previous
             last = residual < FINAL_RESIDUAL or rounding
-            majorize = not (last or majorize) and residual > SLOW * previous and can_majorize(law)
+            majorize = (
+                not (last or majorize)
+                and residual > SLOW_REDUCTION * previous
+                and can_majorize(law)
+            )
             previous = residual
             if majorize:
                 for i in range(3):
@@ -196,7 +201,7 @@ def _iterate(law, cells, touch, scales, eps, early_end, unknowns, work, limit):
                 _calc_residual(g, touch, scales, unknowns.lam) < early_end
             )
         if last:
-            status = CONVERGED if worst < MAX_RESIDUAL else NOT_CONVERGED
+            status = STEP_CONVERGED if worst < MAX_RESIDUAL else NOT_CONVERGED
             return status, iteration + 1
     return NOT_CONVERGED, limit
 
@@ -221,7 +226,7 @@ def solve_step(law, cells, touch, scales, eps, early_end, unknowns, work):
     status, iterations = _iterate(
         law, cells, touch, scales, eps, early_end, unknowns, work, NEWTON_LIMIT
     )
-    if status == CONVERGED:
+    if status == STEP_CONVERGED:
         return status, iterations
     # Continuation: start where friction is smooth on the scale of the motion, and sharpen, by
     # smaller factors where it fails. Cells that stick at the end move in proportion to the
@@ -233,7 +238,7 @@ def solve_step(law, cells, touch, scales, eps, early_end, unknowns, work):
     last_tolerance = np.inf
     before_tolerance = np.inf
     tolerance = scales.speed
-    factor = SHARPEN
+    factor = STICTION_FACTOR
     xi = unknowns.xi
     xi[:] = 0.0
     while True:
@@ -241,7 +246,7 @@ def solve_step(law, cells, touch, scales, eps, early_end, unknowns, work):
             law, cells, touch, scales, tolerance, 0.0, unknowns, work, ITERATION_LIMIT
         )
         iterations += used
-        if status == CONVERGED:
+        if status == STEP_CONVERGED:
             if tolerance == eps:
                 return status, iterations
             for i in range(3):
@@ -249,7 +254,7 @@ def solve_step(law, cells, touch, scales, eps, early_end, unknowns, work):
                 last[i] = xi[i]
             before_tolerance = last_tolerance
             last_tolerance = tolerance
-            factor = max(factor * factor, SHARPEN)
+            factor = max(factor * factor, STICTION_FACTOR)
         elif last_tolerance < np.inf and factor < MIN_SHARPENING:
             # Once more from the last solution, with a smaller stride.
             factor = sqrt(factor)

@@ -13,8 +13,8 @@ from math import cos, sin
 from typing import Any, NamedTuple
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.contact import BEND, CX, CY, GX, GY, NX, NY
-from gridpush_drake.dynamics.kernels.contact_modes import (
+from gridpush_drake.dynamics.kernels.contact.contact import BEND, CX, CY, GX, GY, NX, NY
+from gridpush_drake.dynamics.kernels.contact.contact_modes import (
     SEPARATE,
     SLIDE_PLUS,
     STICK,

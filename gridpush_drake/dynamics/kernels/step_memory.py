@@ -13,9 +13,10 @@ from gridpush_drake.dynamics.kernels.compiled import kernel
 
 MEMORY_SIZE = 13
 """Twist of the last step (3), of the one before (3), contact modes (2), steps moved in a row, up to
-MOVING (1); the loads' tilt (2) and the friction with the table (2), see `support_loads`."""
+MIN_MOVING_STEPS (1); the loads' tilt (2) and the friction with the table (2), see
+`support_loads`."""
 
-MOVING = 2
+MIN_MOVING_STEPS = 2
 """Steps moved in a row from which on the twist is extrapolated."""
 
 _LAST = 3
@@ -57,5 +58,6 @@ def remember(memory, xi, last_twist, modes, moving_steps, tilt, friction):
         memory[_MODES + j] = modes[j]
         memory[_TILT + j] = tilt[j]
         memory[_FRICTION + j] = friction[j]
-    # More than MOVING steps tell nothing more, and a count that grows would never be the same.
-    memory[_MOVING_STEPS] = min(moving_steps, MOVING)
+    # More than MIN_MOVING_STEPS steps tell nothing more, and a count that grows would never be the
+    # same.
+    memory[_MOVING_STEPS] = min(moving_steps, MIN_MOVING_STEPS)

@@ -4,8 +4,8 @@ A push above the table's height and the edge of the table shift these loads.
 
 At rest on the table the cells bear N_i0 = m_i g, with their center at the center of mass c.
 Friction F, which acts at the table's height against a force at height h, moves the center that
-equilibrium asks for; beyond the edge nothing is borne (sigma_i, the share of a cell on the table).
-Of all loads in equilibrium, those nearest to N_i0 sigma_i,
+equilibrium asks for; beyond the edge nothing is borne (sigma_i, the fraction of a cell on the
+table). Of all loads in equilibrium, those nearest to N_i0 sigma_i,
 
     min_N  sum_i N_i log(N_i / (N_i0 sigma_i))
     s.t.   sum N_i = W,    sum N_i p_i = W p*,    p* = c + h F / W
@@ -45,7 +45,7 @@ _NEWTON_LIMIT = 60
 """Most iterations of the search for the tilt b."""
 
 _TOLERANCE = 1e-13
-"""How near the center of the loads must come to p*, as a share of the cells' reach."""
+"""How near the center of the loads must come to p*, as a fraction of the cells' reach."""
 
 _LONGEST_STEP = 2.0
 """Longest step of b in an iteration, times the cells' reach: exp(b·p) then stays in proportion."""
@@ -56,7 +56,7 @@ _STEEPEST = 200.0
 _SAME_GAP = 1e-15
 """Two gaps between lines of cells that differ by no more than this count as the same, m."""
 
-_SHARE = 0.01
+_FRACTION = 0.01
 """eps in phi. It keeps A regular where the cells stand in one line."""
 
 
@@ -96,7 +96,7 @@ class Loads(NamedTuple):
 
     Attributes:
         exp_x, exp_y: workspace, exp of b along the cells' xs and ys.
-        share: (n,) w_i / m_i, 1/kg.
+        fraction: (n,) w_i / m_i, 1/kg.
         slope: (n, 3) d sigma_i by the pose seen from the body, times w_i / sigma_i.
         tilt: (2,) b, 1/m.
         friction: (2,) F, N.
@@ -113,7 +113,7 @@ class Loads(NamedTuple):
 
     exp_x: Any
     exp_y: Any
-    share: Any
+    fraction: Any
     slope: Any
     tilt: Any
     friction: Any
@@ -135,7 +135,7 @@ def make_loads(support):
     return Loads(
         exp_x=np.zeros(support.xs.shape[0]),
         exp_y=np.zeros(support.ys.shape[0]),
-        share=np.zeros(n),
+        fraction=np.zeros(n),
         slope=np.zeros((n, 3)),
         tilt=np.zeros(2),
         friction=np.zeros(2),
@@ -171,12 +171,12 @@ def find_loads(support, cells, cell_size, state, loads, k):
     n = cells.shape[1]
     mass = support.mass
     reach = support.reach
-    share = loads.share
+    fraction = loads.fraction
     slope = loads.slope
     center = loads.center
 
     # sigma_i, in `share` until the tilt is known.
-    near = _fill_covered_shares(support.table, cells, cell_size, reach, state, share, slope)
+    near = _fill_covered_fractions(support.table, cells, cell_size, reach, state, fraction, slope)
 
     # p* = c + h F / W, and the tilt that puts the loads' center there.
     weight = support.weight
@@ -201,14 +201,14 @@ def find_loads(support, cells, cell_size, state, loads, k):
         if near:
             for j in range(3):
                 slope[i, j] *= mass[i] * across
-        share[i] *= across
-        k[i] = support.friction[i] * weight * mass[i] * share[i]
+        fraction[i] *= across
+        k[i] = support.friction[i] * weight * mass[i] * fraction[i]
     return found
 
 
 @kernel(allocates=False)
-def _fill_covered_shares(table, cells, cell_size, reach, state, covered, slope):
-    """Fills in sigma_i, the share of each cell that is on the table, and its slope.
+def _fill_covered_fractions(table, cells, cell_size, reach, state, covered, slope):
+    """Fills in sigma_i, the fraction of each cell that is on the table, and its slope.
 
     It rises from 0 to 1 as the cell's center comes inside the edge, over the cell's size.
 
@@ -400,7 +400,7 @@ def _sum_moments(support, cells, loads):
     mass = support.mass
     column = support.column
     row = support.row
-    covered = loads.share
+    covered = loads.fraction
     exp_x = loads.exp_x
     exp_y = loads.exp_y
     cx = loads.center[0]
@@ -427,8 +427,8 @@ def _calc_phi(x):
     root = sqrt(1.0 + x * x)
     fourth = x * x * x * x
     whole = 1.0 + abs(x) * fourth
-    value = _SHARE * x / root + (1.0 - _SHARE) * x * fourth / whole
-    slope = _SHARE / (root * root * root) + (1.0 - _SHARE) * 5.0 * fourth / (whole * whole)
+    value = _FRACTION * x / root + (1.0 - _FRACTION) * x * fourth / whole
+    slope = _FRACTION / (root * root * root) + (1.0 - _FRACTION) * 5.0 * fourth / (whole * whole)
     return value, slope
 
 
@@ -507,7 +507,7 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
 
     # df by mu_i, then by m_i, which moves W, c and w_i.
     one = 1.0 / whole
-    share = loads.share
+    fraction = loads.fraction
     for j in range(3):
         f = Q[6 + j]
         total = G0[j]
@@ -516,9 +516,9 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
         if width > frictions:
             by_friction = f[frictions:]
             for i in range(n):
-                by_friction[i] = f[i] * weight * mass[i] * share[i]
+                by_friction[i] = f[i] * weight * mass[i] * fraction[i]
         for i in range(n):
-            w = share[i]
+            w = fraction[i]
             dx = (px[i] - support.com_x - shift_x) * one - w * (px[i] - mean[0])
             dy = (py[i] - support.com_y - shift_y) * one - w * (py[i] - mean[1])
             f[i] = f[i] * mu[i] * weight * w + total * (one - w) + by_x * dx + by_y * dy

@@ -12,5 +12,5 @@ from .paper_gradient import calc_paper_step_jacobian as calc_paper_step_jacobian
 from .paper_gradient import calc_x11 as calc_x11
 from .paper_rollout import calc_paper_jacobian as calc_paper_jacobian
 from .scene_socp import SceneContact as SceneContact
-from .scene_socp import SceneStep as SceneStep
+from .scene_socp import SceneSolution as SceneSolution
 from .scene_socp import solve_scene_socp as solve_scene_socp

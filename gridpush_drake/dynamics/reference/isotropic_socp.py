@@ -12,7 +12,7 @@ from scipy.linalg import null_space
 from scipy.sparse import csc_array, diags_array
 
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS, calc_spin_arm
+from gridpush_drake.dynamics.kernels.friction.friction_law import SPIN_MODELS, calc_spin_lever_arm
 from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, twist_to_cells
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.extras import import_extra
@@ -23,7 +23,7 @@ clarabel = import_extra("clarabel", "reference")
 CONIC_TOLERANCE = 1e-13
 """Clarabel's relative and absolute tolerance, on problems scaled to one."""
 
-USABLE = ("Solved", "AlmostSolved", "InsufficientProgress")
+USABLE_STATUSES = ("Solved", "AlmostSolved", "InsufficientProgress")
 """Clarabel's statuses whose point is near enough to be refined. The caller verifies the refined
 one."""
 
@@ -61,7 +61,7 @@ def solve_conic(
     settings.max_step_fraction = STEP_FRACTION
     program = (P, q, A, np.zeros(A.shape[0]) if b is None else b, cones)
     solution = clarabel.DefaultSolver(*program, settings).solve()
-    if str(solution.status) not in USABLE:
+    if str(solution.status) not in USABLE_STATUSES:
         raise SimulationError(f"Clarabel stopped with {solution.status}")
     return np.array(solution.x), np.array(solution.z)
 
@@ -138,7 +138,7 @@ def solve_isotropic_socp(
     # A cone b_i |A_i u| a cell; a last one for the spin friction of all cells together.
     b = params.friction * m * g * dt / speed
     rows = (np.linalg.solve(L, T.T).T).reshape(n, 3, 3)
-    arm = calc_spin_arm(obj, params)
+    arm = calc_spin_lever_arm(obj, params)
     scale = np.array([arm if spin == "coupled" else 0.0, 1.0, 1.0])
     cones = list(b[:, None, None] * scale[:, None] * rows)
     if spin == "separate":

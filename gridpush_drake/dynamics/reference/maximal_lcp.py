@@ -24,8 +24,8 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
-from gridpush_drake.dynamics.kernels.lagged_friction import (
+from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
+from gridpush_drake.dynamics.kernels.friction.lagged_friction import (
     IMPENDING_AT_REST,
     SPEED_AT_REST,
     YAW_RATE_AT_REST,
@@ -49,7 +49,7 @@ class MaximalLcp:
         J_f: (2n, 3n) friction directions, n rows for sliding, then n for spinning.
         bound: (2n,) greatest friction impulses, b_i = mu_i m_i g dt (N s), then beta_i = arm b_i (N
             m s).
-        spin_arm: arm = c s, see `calc_spin_arm`, m.
+        spin_lever_arm: arm = c s, see `calc_spin_lever_arm`, m.
         xdot: (3n,) velocities before the step, rad/s and m/s.
         F: (3n,) applied torque and force on every cell, N m and N.
         dt: time step, s.
@@ -59,7 +59,7 @@ class MaximalLcp:
     J_e: csr_array
     J_f: csr_array
     bound: Array
-    spin_arm: float
+    spin_lever_arm: float
     xdot: Array
     F: Array
     dt: float
@@ -125,14 +125,14 @@ def make_maximal_lcp(
     m = params.mass
     M = np.stack([m * s**2 / 6, m, m], axis=1).ravel()
     b = params.friction * m * g * dt
-    spin_arm = calc_spin_arm(obj, params)
+    spin_lever_arm = calc_spin_lever_arm(obj, params)
     pairs = _spanning_tree(obj.adjacency, obj.n) if spanning_tree else obj.adjacency
     return MaximalLcp(
         M=M,
         J_e=_rigidity(obj.cells_at(q), pairs),
         J_f=_friction_directions(twist_to_cells(obj, q), M, xdot, F, dt),
-        bound=np.concatenate([b, spin_arm * b]),
-        spin_arm=spin_arm,
+        bound=np.concatenate([b, spin_lever_arm * b]),
+        spin_lever_arm=spin_lever_arm,
         xdot=xdot,
         F=F,
         dt=float(dt),

@@ -76,7 +76,7 @@ class NormalizedLcp:
 class KktResiduals:
     """How well each line of the LCP holds.
 
-    Each figure is the largest violation, as a share of the problem's own scale.
+    Each figure is the largest violation, as a fraction of the problem's own scale.
 
     Impulses are measured by P, the largest cell's m |v_t| + dt |F| + bound; velocities by V, the
     same of the whole body over its mass; moments and yaw rates by P s and V / s, s the cell size;
@@ -211,13 +211,13 @@ SIGN_TOLERANCE = 1e-11
 MAX_ACTIVE_SETS = 600
 """Largest number of active sets that are tried."""
 
-STICK = 0
+STICKING_ROW = 0
 """State of a friction row that does not move."""
 
-SLIDE = 1
+SLIDING_ROW = 1
 """State of a friction row that moves against its friction, which is at its bound."""
 
-REVERSE = 2
+REVERSED_ROW = 2
 """State of a friction row that is carried backwards, without friction."""
 
 LcpSolver = Callable[[Array, Array], Array]
@@ -285,29 +285,29 @@ def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
 
     # Of each complementary pair the interior point has one much smaller than the other.
     fastest = np.abs(unit.G @ unit.h).max(initial=0.0) or 1.0
-    slides_or_sticks = np.where(1 - s < slack / fastest, SLIDE, STICK)
-    state = np.where(s < (unit.G @ y + slack) / fastest, REVERSE, slides_or_sticks)
+    slides_or_sticks = np.where(1 - s < slack / fastest, SLIDING_ROW, STICKING_ROW)
+    state = np.where(s < (unit.G @ y + slack) / fastest, REVERSED_ROW, slides_or_sticks)
     s = np.clip(s, 0, 1)
     for _ in range(MAX_ACTIVE_SETS):
         y, lam, target = _solve_active_set(unit, state, lam, s)
         # Rows that stick must be within their bounds. The first that leaves them is held there.
-        beyond = (state == STICK) & (np.maximum(target - 1, -target) > SIGN_TOLERANCE)
+        beyond = (state == STICKING_ROW) & (np.maximum(target - 1, -target) > SIGN_TOLERANCE)
         if beyond.any():
-            share = np.full(len(s), np.inf)
+            fraction = np.full(len(s), np.inf)
             reached = np.where(target > 1, 1.0, 0.0)
-            share[beyond] = (reached - s)[beyond] / (target - s)[beyond]
-            first = share.argmin()
-            state[first] = SLIDE if target[first] > 1 else REVERSE
-            s = np.clip(s + share[first] * (target - s), 0, 1)
+            fraction[beyond] = (reached - s)[beyond] / (target - s)[beyond]
+            first = fraction.argmin()
+            state[first] = SLIDING_ROW if target[first] > 1 else REVERSED_ROW
+            s = np.clip(s + fraction[first] * (target - s), 0, 1)
             continue
         # Rows that slide must move against their friction, reversed ones with it.
         s = target
         along = unit.G @ y
         wrong = np.choose(state, [np.zeros(len(s)), along, -along])
         if not (wrong > SIGN_TOLERANCE * fastest).any():
-            slack = np.where(state == SLIDE, np.maximum(0, -along), 0.0)
+            slack = np.where(state == SLIDING_ROW, np.maximum(0, -along), 0.0)
             return _restore(lcp, unit, y, lam, s, slack)
-        state[wrong.argmax()] = STICK
+        state[wrong.argmax()] = STICKING_ROW
     raise SimulationError(
         f"the friction QP of {lcp.n} cells found no active set with the right signs"
     )
@@ -371,7 +371,7 @@ def _solve_active_set(
 
     Where they stick, G y = 0.
     """
-    sticks = state == STICK
+    sticks = state == STICKING_ROW
     G_s = unit.G[sticks]
     length = np.sqrt((G_s * G_s).sum(axis=1))
     # The rows that stick are further rows of C.
@@ -379,7 +379,7 @@ def _solve_active_set(
     if sticks.any():
         C = csr_array(vstack([unit.C, -(diags_array(1 / length) @ G_s)]))
     start = np.concatenate([lam, np.clip(s[sticks], 0, 1) * length])
-    s = np.where(state == SLIDE, 1.0, 0.0)
+    s = np.where(state == SLIDING_ROW, 1.0, 0.0)
     y, lam = project(C, unit.h + unit.G.T @ s, start)
     s[sticks] = lam[len(unit.norm) :] / length
     return y, lam[: len(unit.norm)], s

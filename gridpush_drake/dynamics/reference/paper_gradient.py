@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
-from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
+from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
+from gridpush_drake.dynamics.kernels.friction.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.reference.maximal_lcp import (
     STANDARD_GRAVITY,
     MaximalLcp,
@@ -44,9 +44,9 @@ from gridpush_drake.dynamics.reference.maximal_solvers import LcpSolution
 from gridpush_drake.geometry.se2 import Array
 
 AT_BOUND = 1e-9
-"""Share of the bound within which a friction impulse counts as zero or as at its bound."""
+"""Fraction of the bound within which a friction impulse counts as zero or as at its bound."""
 
-REDUNDANT = 1e-10
+REDUNDANT_ROW_RATIO = 1e-10
 """Relative singular value below which rows of C count as redundant."""
 
 
@@ -77,7 +77,7 @@ def calc_x11(lcp: MaximalLcp, solution: LcpSolution, T: Array | None = None) -> 
     A = C / root_mass
     A /= np.linalg.norm(A, axis=1, keepdims=True)
     _, size, V_T = np.linalg.svd(A, full_matrices=False)
-    V_T = V_T[size > REDUNDANT * size.max(initial=0.0)]
+    V_T = V_T[size > REDUNDANT_ROW_RATIO * size.max(initial=0.0)]
     return (np.eye(3 * lcp.n) - V_T.T @ V_T) / np.outer(root_mass, root_mass)
 
 
@@ -189,7 +189,7 @@ def calc_paper_step_jacobian(
     slides = (speed > SPEED_AT_REST) & ((v * after[:, 1:]).sum(axis=1, keepdims=True) > 0)
     spins = (np.abs(w) > YAW_RATE_AT_REST) & (w * after[:, :1] > 0)
     d = np.where(slides, v / np.where(slides, speed, 1.0), 0.0)
-    sense = np.where(spins, calc_spin_arm(obj, params) * np.sign(w), 0.0)
+    sense = np.where(spins, calc_spin_lever_arm(obj, params) * np.sign(w), 0.0)
 
     # f_i = T_i^T (c s sgn w, d_i), and T_i^T diag(s²/6, 1, 1) T_i (nu' - nu)
     cells = T.reshape(n, 3, 3)
@@ -217,7 +217,7 @@ def _condensed_x11(lcp: MaximalLcp, solution: LcpSolution, T: Array) -> Array:
         return X_B
     # X_B - X_B J^T (J X_B J^T)^+ J X_B
     X_J = X_B @ J.T
-    inverse = np.linalg.pinv(J @ X_J, rcond=REDUNDANT, hermitian=True)
+    inverse = np.linalg.pinv(J @ X_J, rcond=REDUNDANT_ROW_RATIO, hermitian=True)
     return np.asarray(X_B - X_J @ inverse @ X_J.T)
 
 
@@ -233,7 +233,7 @@ def _impulse_derivatives(lcp: MaximalLcp, solution: LcpSolution, g: float) -> tu
     # dbound/dm_i = bound/m_i, and dbound/dmu_i = m_i g dt for sliding, c s m_i g dt for spin
     load = lcp.mass * g * lcp.dt
     dbound_dm = (lcp.bound / np.tile(lcp.mass, 2)).reshape(2, n)
-    dbound_dmu = np.stack([load, lcp.spin_arm * load])
+    dbound_dmu = np.stack([load, lcp.spin_lever_arm * load])
     by_mass = np.zeros((3 * n, n))
     by_friction = np.zeros((3 * n, n))
     for row in range(2):

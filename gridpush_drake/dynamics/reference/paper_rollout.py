@@ -23,13 +23,13 @@ import numpy as np
 
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
+from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
+from gridpush_drake.dynamics.kernels.friction.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.kernels.inputs import Steps
-from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.motion import Jacobian
 from gridpush_drake.geometry.se2 import Array, IntArray, make_rotation
 
-REST = 1e-5
+REST_SPEED = 1e-5
 """Speed, m/s, below which a step has stopped the body. It is far above the stiction tolerance, and
 far below any push."""
 
@@ -58,13 +58,13 @@ def calc_paper_jacobian(
     spin = physics.used_spin
     t = np.maximum(rows - 1, 0)
     dt = dts[t]
-    arm = calc_spin_arm(obj, params)
+    arm = calc_spin_lever_arm(obj, params)
 
     # A step that stopped the body has no derivative.
     before, turn = _twists_before(bodies, steps, t, physics.ahead * dt)
     after = steps.twists[t]
-    turns = obj.radius_of_gyration * np.abs(after[:, 2]) > REST
-    moves = turns | (np.hypot(after[:, 0], after[:, 1]) > REST)
+    turns = obj.radius_of_gyration * np.abs(after[:, 2]) > REST_SPEED
+    moves = turns | (np.hypot(after[:, 0], after[:, 1]) > REST_SPEED)
     until = np.where((rows > 0) & moves, dt, 0.0)
 
     # M_B^-1, or its projection where separate spin friction holds the rotation; times -dt, and
@@ -82,7 +82,7 @@ def calc_paper_jacobian(
         friction=np.array(params.friction),
         inertia=obj.cell_size**2 / 6,
         kappa2=arm**2 if spin == "coupled" else 0.0,
-        spin_arm=arm if spin == "separate" else 0.0,
+        spin_lever_arm=arm if spin == "separate" else 0.0,
         before=before,
         after=after,
         impulse=physics.gravity * dt,
@@ -110,7 +110,7 @@ def fill_paper_gradient(
     friction: Array,
     inertia: float,
     kappa2: float,
-    spin_arm: float,
+    spin_lever_arm: float,
     before: Array,
     after: Array,
     impulse: Array,
@@ -124,8 +124,8 @@ def fill_paper_gradient(
         cells: (2, n) cell centers p_BC, m.
         mass, friction: (n,) m_i, kg, and mu_i.
         inertia: of a cell about its center over its mass, m².
-        kappa2, spin_arm: the spin model: kappa² (m²) of the coupled one, c s (m) of the separate
-            one; else zero.
+        kappa2, spin_lever_arm: the spin model: kappa² (m²) of the coupled one, c s (m) of the
+            separate one; else zero.
         before, after: (R, 3) twists, in the frames of the steps.
         impulse: (R,) g dt, N s/kg.
         response: (R, 3, 3) from an impulse in that frame to the pose's displacement in W.
@@ -149,7 +149,7 @@ def fill_paper_gradient(
         # Separate spin acts against the sense of rotation, unless the step reversed it.
         w_own = w if abs(w) > YAW_RATE_AT_REST else w1
         spins = abs(w_own) > YAW_RATE_AT_REST and w_own * w1 > 0.0
-        spin = spin_arm * np.sign(w_own) if spins else 0.0
+        spin = spin_lever_arm * np.sign(w_own) if spins else 0.0
         for i in range(n):
             x = px[i]
             y = py[i]

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.sparse import block_diag, csc_array, csr_array, diags_array, vstack
 
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
+from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
 from gridpush_drake.dynamics.reference.isotropic_socp import clarabel, solve_conic
 from gridpush_drake.dynamics.reference.maximal_lcp import (
     STANDARD_GRAVITY,
@@ -34,16 +34,16 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-REPETITIONS = 200
+MAX_PROGRAMS = 200
 """Most programs of a step."""
 
-UNDAMPED = 30
+UNDAMPED_PROGRAMS = 30
 """Programs after which only half of a change of s is made."""
 
-SETTLED = 1e-9
-"""Change of s, as a share of the speed, that ends the repetition."""
+SETTLED_CHANGE = 1e-9
+"""Change of s, as a fraction of the speed, that ends the repetition."""
 
-ORIGIN = np.zeros(3)
+ORIGIN_POSE = np.zeros(3)
 """Pose at which every body is seen from its own frame."""
 
 
@@ -81,7 +81,7 @@ class SceneContact(NamedTuple):
     compliance: float
 
 
-class SceneStep(NamedTuple):
+class SceneSolution(NamedTuple):
     """The solution of a step.
 
     Attributes:
@@ -101,7 +101,7 @@ def solve_scene_socp(
     speed: float,
     g: float = STANDARD_GRAVITY,
     spin: str = "coupled",
-) -> SceneStep:
+) -> SceneSolution:
     """Takes one quasi-static step of several bodies.
 
     Args:
@@ -128,14 +128,14 @@ def solve_scene_socp(
     rigid = block_diag(
         [
             make_maximal_lcp(
-                Bodies(obj, each), ORIGIN, np.zeros(3 * obj.n), np.zeros(3 * obj.n), 1.0
+                Bodies(obj, each), ORIGIN_POSE, np.zeros(3 * obj.n), np.zeros(3 * obj.n), 1.0
             ).J_e
             for obj, each in zip(objects, params, strict=True)
         ]
     )
     cones = []
     for obj, each, loads, start in zip(objects, params, k, starts, strict=False):
-        arm = calc_spin_arm(obj, each)
+        arm = calc_spin_lever_arm(obj, each)
         for i in range(obj.n):
             row = int(start) + 3 * i
             kappa = arm if spin == "coupled" else 0.0
@@ -166,19 +166,21 @@ def solve_scene_socp(
     )
 
     shift = np.zeros(len(contacts))
-    for repetition in range(REPETITIONS):
+    for repetition in range(MAX_PROGRAMS):
         velocities, slip, forces = program.solve(shift)
         new = friction * np.abs(slip)
         change = float(np.abs(new - shift).max(initial=0.0))
-        shift = new if repetition < UNDAMPED else (shift + new) / 2
-        if change <= SETTLED:
+        shift = new if repetition < UNDAMPED_PROGRAMS else (shift + new) / 2
+        if change <= SETTLED_CHANGE:
             twists = [
                 np.linalg.lstsq(
-                    twist_to_cells(obj, ORIGIN), velocities[start : start + 3 * obj.n], rcond=None
+                    twist_to_cells(obj, ORIGIN_POSE),
+                    velocities[start : start + 3 * obj.n],
+                    rcond=None,
                 )[0]
                 for obj, start in zip(objects, starts, strict=False)
             ]
-            return SceneStep(np.array(twists) * speed, forces * load)
+            return SceneSolution(np.array(twists) * speed, forces * load)
     raise SimulationError(f"the slip of {len(contacts)} contacts did not settle")
 
 

@@ -8,15 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.kernels.contact import Edges
-from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
+from gridpush_drake.dynamics.kernels.contact.contact import Edges
+from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
 from gridpush_drake.dynamics.kernels.scene.records import (
-    IDENTITY,
-    NUMBERS,
+    CONTACT_SIZE,
+    IDENTITY_SIZE,
     BodyArrays,
+    BodyStates,
     Contacts,
     PusherPath,
-    SceneState,
     SceneSteps,
     Tolerances,
 )
@@ -36,7 +36,7 @@ def make_bodies(bodies: Bodies) -> BodyArrays:
     physics = bodies.physics
     k = [params.friction * params.mass * physics.gravity for params in bodies.parameters]
     laws = [
-        physics.law.make(loads, calc_spin_arm(obj, params), physics.used_spin)
+        physics.law.make(loads, calc_spin_lever_arm(obj, params), physics.used_spin)
         for (obj, params), loads in zip(bodies, k, strict=True)
     ]
     # outlines for the pusher, cores for each other
@@ -68,10 +68,10 @@ def make_bodies(bodies: Bodies) -> BodyArrays:
     )
 
 
-def make_scene_state(poses: Array) -> SceneState:
+def make_scene_state(poses: Array) -> BodyStates:
     """Makes the state of N bodies at rest at poses (N, 3)."""
     n = len(poses)
-    return SceneState(
+    return BodyStates(
         q=np.array(poses, dtype=np.float64),
         turn=np.zeros((n, 2)),
         twist=np.zeros((n, 3)),
@@ -84,11 +84,11 @@ def make_scene_contacts(n: int) -> Contacts:
     """Makes room for the contacts of n bodies; none is there."""
     room = CONTACTS_A_BODY * n
     return Contacts(
-        ids=np.zeros((room, IDENTITY), np.int64),
-        numbers=np.zeros((room, NUMBERS)),
+        ids=np.zeros((room, IDENTITY_SIZE), np.int64),
+        numbers=np.zeros((room, CONTACT_SIZE)),
         lam=np.zeros((room, 2)),
         modes=np.zeros(room, np.int64),
-        last_ids=np.zeros((room, IDENTITY), np.int64),
+        last_ids=np.zeros((room, IDENTITY_SIZE), np.int64),
         last_modes=np.zeros(room, np.int64),
         counts=np.zeros(2, np.int64),
         lost=np.zeros(1, np.int64),
@@ -100,7 +100,7 @@ def run_scene_kernel(
     physics: Physics,
     *,
     pusher: PusherPath,
-    state: SceneState,
+    state: BodyStates,
     contacts: Contacts,
     dts: Array,
     row_of_step: IntArray,
@@ -128,7 +128,7 @@ def run_scene_kernel(
         poses=np.empty((steps + 1, n, 3)),
         twists=np.empty((steps, n, 3)),
         counts=np.empty(steps, np.int64),
-        ids=np.zeros((steps, room, IDENTITY), np.int64),
+        ids=np.zeros((steps, room, IDENTITY_SIZE), np.int64),
         modes=np.zeros((steps, room), np.int64),
         forces=np.zeros((steps, room, 2)),
         points=np.zeros((steps, room, 2)),

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.bodies import Bodies, describe_object
-from gridpush_drake.dynamics.kernels.isotropic_friction import ISOTROPIC
+from gridpush_drake.dynamics.kernels.friction.isotropic_friction import ISOTROPIC_LAW
 from gridpush_drake.dynamics.kernels.scene.records import PusherPath, SceneSteps
-from gridpush_drake.dynamics.kernels.step import CONVERGED
+from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.motion import (
     NO_BODY,
     OVERLAP_TOLERANCE,
@@ -134,7 +134,7 @@ def check_together(bodies: Bodies) -> Bodies:
         raise SimulationError(
             "regime is 'inertial'; expected 'quasi_static': several objects have no momentum"
         )
-    if physics.law is not ISOTROPIC:
+    if physics.law is not ISOTROPIC_LAW:
         raise SimulationError(
             f"friction_law is {physics.friction_law!r}; expected 'isotropic', the one that several "
             "objects know"
@@ -208,7 +208,7 @@ def _calc_velocities(result: SceneSteps, rates: Array) -> Array:
 
 
 def _find_status(result: SceneSteps, lost: int) -> MotionStatus:
-    if (result.statuses[:, 0] != CONVERGED).any() or lost > 0:
+    if (result.statuses[:, 0] != STEP_CONVERGED).any() or lost > 0:
         return MotionStatus.NOT_CONVERGED
     with_finger = result.ids[:, :, 1] < 0
     if not (result.modes[with_finger] != 0).any():

@@ -2,7 +2,7 @@ from .methods import SEARCH_METHODS as SEARCH_METHODS
 from .paper import PaperDescent as PaperDescent
 from .search import Bounds as Bounds
 from .search import CellLoss as CellLoss
-from .search import Search as Search
+from .search import LossSearch as LossSearch
 from .search import SearchMethod as SearchMethod
 from .search import SearchResult as SearchResult
 from .search import SearchStatus as SearchStatus

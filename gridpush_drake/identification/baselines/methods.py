@@ -1,7 +1,7 @@
 """The methods that the paper compares with (section VI.C), and the registry of all searches.
 
 All begin at the start, then differ. They see nothing but the loss, at one simulation of every
-training push a value. Lengths are shares of the bounds' width, in the logarithm.
+training push a value. Lengths are fractions of the bounds' width, in the logarithm.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.paper import PaperDescent
-from gridpush_drake.identification.baselines.search import Search, SearchMethod, SearchStatus
+from gridpush_drake.identification.baselines.search import LossSearch, SearchMethod, SearchStatus
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class RandomSearch:
 
     physics: Physics | None = None
 
-    def run(self, search: Search) -> SearchStatus:
+    def run(self, search: LossSearch) -> SearchStatus:
         """Draws until the budget is spent."""
         search(search.start, "start")
         while True:
@@ -47,7 +47,7 @@ class WeightedSampling:
     last_std: float = 0.02
     physics: Physics | None = None
 
-    def run(self, search: Search) -> SearchStatus:
+    def run(self, search: LossSearch) -> SearchStatus:
         """Draws until the budget is spent."""
         best = search.start
         lowest = search(best, "start")
@@ -82,7 +82,7 @@ class FiniteDifference:
     min_step: float = 1e-3
     physics: Physics | None = None
 
-    def run(self, search: Search) -> SearchStatus:
+    def run(self, search: LossSearch) -> SearchStatus:
         """Sweeps over the coordinates in random order."""
         u = search.start.copy()
         lowest = search(search.start, "start")
@@ -114,7 +114,7 @@ class CmaEs:
     std: float = 0.25
     physics: Physics | None = None
 
-    def run(self, search: Search) -> SearchStatus:
+    def run(self, search: LossSearch) -> SearchStatus:
         """Breeds generations until the strategy stops."""
         cma = import_extra("cma", "baselines")
 
@@ -145,7 +145,7 @@ class NelderMead:
     edge: float = 0.25
     physics: Physics | None = None
 
-    def run(self, search: Search) -> SearchStatus:
+    def run(self, search: LossSearch) -> SearchStatus:
         """Moves the simplex until SciPy stops."""
         from scipy.optimize import minimize  # only where it is used: it takes long to import
 

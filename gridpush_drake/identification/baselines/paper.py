@@ -28,11 +28,11 @@ import numpy as np
 from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.baselines.search import CellLoss, Search, SearchStatus
+from gridpush_drake.identification.baselines.search import CellLoss, LossSearch, SearchStatus
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-BLOCKS = ("mass", "friction")
+PARAMETER_BLOCKS = ("mass", "friction")
 """Blocks of parameters that are descended in by turns."""
 
 PAPER_PHYSICS = Physics(friction_law="lagged", regime="inertial")
@@ -62,14 +62,18 @@ class PaperDescent:
     min_step: float = 1e-3
     physics: Physics | None = PAPER_PHYSICS
 
-    def run(self, search: Search) -> SearchStatus:
+    def run(self, search: LossSearch) -> SearchStatus:
         """Descends in M and mu by turns, with backtracking, until it stalls or the loss ends it."""
         loss = search.loss
         bounds = search.bounds
         params = replace(search.first, push_height=0.0)
         lowest, simulations = loss.evaluate(params, "start", gradients="paper")
         gradient = calc_paper_gradient_of_loss(loss, simulations)
-        steps = {block: self.first_step for block in BLOCKS if np.ptp(getattr(bounds, block)) > 0}
+        steps = {
+            block: self.first_step
+            for block in PARAMETER_BLOCKS
+            if np.ptp(getattr(bounds, block)) > 0
+        }
         while max(steps.values(), default=0.0) > self.min_step:
             for block in steps:
                 trial = bounds.clip(_step(params, block, gradient[block], steps[block]))
@@ -94,7 +98,7 @@ def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> di
     Returns:
         The gradient by masses and by frictions.
     """
-    gradient = {block: np.zeros(loss.obj.n) for block in BLOCKS}
+    gradient = {block: np.zeros(loss.obj.n) for block in PARAMETER_BLOCKS}
     for simulation, miss, rows in zip(
         simulations, loss.misses(simulations), loss.rows, strict=True
     ):
@@ -103,7 +107,7 @@ def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> di
         np.add.at(by_pose, rows, by_observed / len(simulations))
         # A step moves all poses after it.
         after = by_pose[::-1].cumsum(axis=0)[::-1]
-        for block in BLOCKS:
+        for block in PARAMETER_BLOCKS:
             gradient[block] += np.einsum("tj,tjn->n", after, getattr(simulation.jacobian, block))
     return gradient
 

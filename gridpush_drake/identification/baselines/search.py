@@ -1,8 +1,8 @@
 """What every search shares: bounds, the loss that it lowers, its budget, and its result.
 
-A method (`SearchMethod`) works on a `Search`: a loss over points u of the unit cube, one coordinate
-for each free mass and friction, logarithmic between its bounds. `run_search` runs a method on a
-log.
+A method (`SearchMethod`) works on a `LossSearch`: a loss over points u of the unit cube, one
+coordinate for each free mass and friction, logarithmic between its bounds. `run_search` runs a
+method on a log.
 """
 
 from dataclasses import dataclass, replace
@@ -16,8 +16,8 @@ from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array, IntArray
-from gridpush_drake.identification.problem import TimedPush, resolve_physics
 from gridpush_drake.identification.result import HistoryEntry, Progress
+from gridpush_drake.identification.statistics.problem import TimedPush, resolve_physics
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -161,7 +161,7 @@ class CellLoss:
 
     @property
     def spent(self) -> float:
-        """Share of the budget that is spent, 0 to 1."""
+        """Fraction of the budget that is spent, 0 to 1."""
         return self.simulations / self.budget
 
     def __call__(self, params: CellParameters, stage: str) -> float:
@@ -221,7 +221,7 @@ class CellLoss:
             raise SearchStopped(SearchStatus.CONVERGED)
 
 
-class Search:
+class LossSearch:
     """The loss on the unit cube, and a seeded generator: what a method works with.
 
     Attributes:
@@ -244,8 +244,8 @@ class Search:
         self._width = np.diff(ranges, axis=1)[:, 0]
         self._free = self._width > 0
         values = np.log(np.concatenate([self.first.mass, self.first.friction]))
-        shares = (values - self._low)[self._free] / self._width[self._free]
-        self.start: Array = shares.clip(0, 1)
+        fractions = (values - self._low)[self._free] / self._width[self._free]
+        self.start: Array = fractions.clip(0, 1)
 
     def __call__(self, u: Array, stage: str) -> float:
         """Evaluates the loss, m, at u (d,), or at the nearest point of the cube."""
@@ -273,7 +273,7 @@ class SearchMethod(Protocol):
         """The physics of the model that it descends; None for the one that is asked for."""
         ...
 
-    def run(self, search: Search) -> SearchStatus:
+    def run(self, search: LossSearch) -> SearchStatus:
         """Searches until no step helps any more, or until `SearchStopped`."""
         ...
 
@@ -315,7 +315,7 @@ def run_search(
         obj, log, start, budget=budget, physics=method.physics or physics, progress=progress
     )
     try:
-        status = method.run(Search(loss, start, bounds, seed))
+        status = method.run(LossSearch(loss, start, bounds, seed))
     except SearchStopped as stop:
         status = stop.status
     return SearchResult(

@@ -129,13 +129,13 @@ def solve_damped_step(H, slope, damping, least, free, limit, dx):
         else:
             K[i, i] = 1.0
     solved = solve_dense(K, X, 3, 1)
-    share = 1.0
+    fraction = 1.0
     for i in range(3):
         dx[i] = X[i, 0] if solved else 0.0
-        share = min(share, limit[i] / max(abs(dx[i]), least))
+        fraction = min(fraction, limit[i] / max(abs(dx[i]), least))
     gain = 0.0
     for i in range(3):
-        dx[i] *= share
+        dx[i] *= fraction
     for i in range(3):
         gain -= slope[i] * dx[i]
         for j in range(3):
@@ -194,9 +194,9 @@ def _calc_twist(px, py, nx, ny, ux, uy, gap, inverse, mu):
     uy -= gap * ny
     # Sticking: f = B^-1 u, by Sherman and Morrison, with p⊥ = (-p_y, p_x).
     norm = 1.0 + inverse * (px * px + py * py)
-    share = inverse * (px * uy - py * ux) / norm
-    fx = ux + share * py
-    fy = uy - share * px
+    fraction = inverse * (px * uy - py * ux) / norm
+    fx = ux + fraction * py
+    fy = uy - fraction * px
     # Is f outside the friction cone? Then it is on the cone's edge, such that the contact moves
     # out of the tip's way along n.
     along_n = nx * fx + ny * fy

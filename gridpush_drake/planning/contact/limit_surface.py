@@ -33,7 +33,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
+from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
 from gridpush_drake.geometry.se2 import Array, compose, rotate, transform
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
@@ -53,23 +53,23 @@ MAX_TABLE_NODES = 1000
 TABLE_ROOM = 0.02
 """By how much the table reaches beyond the outline grown by the disc, m."""
 
-STEPS = 16
+PUSH_STEPS = 16
 """Number of steps that a push is cut into."""
 
-PLACES = 96
+PLACE_COUNT = 96
 """Number of places along the outline that are ranked."""
 
-ANGLES = 9
+DIRECTION_COUNT = 9
 """Number of directions at each place that are ranked."""
 
 NEAR_PLACE = 0.05
-"""Two pushes are near one another if their places are within this share of the perimeter, and their
-directions within `NEAR_ANGLE`."""
+"""Two pushes are near one another if their places are within this fraction of the perimeter, and
+their directions within `NEAR_ANGLE`."""
 
 NEAR_ANGLE = 0.3
 """Difference of direction below which two pushes may be near one another, rad; see `NEAR_PLACE`."""
 
-BLOCK = 16
+BLOCK_SIZE = 16
 """Number of pushes that the rules are asked about at once."""
 
 
@@ -145,22 +145,22 @@ def predict_roughly(
         radius: of the disc, m.
 
     Returns:
-        (STEPS, N, 3) poses (x, y, theta) of the body frame after each step, m and rad.
+        (PUSH_STEPS, N, 3) poses (x, y, theta) of the body frame after each step, m and rad.
     """
     obj = model.obj
     params = model.params
     table = make_distance_table(obj, radius)
     k = params.relative_friction()  # sums to one, so that f_max = 1 and lambda = m_max
     c = k @ obj.p_BC
-    arm = np.hypot(np.linalg.norm(obj.p_BC - c, axis=1), calc_spin_arm(obj, params))
-    poses = np.empty((STEPS, len(start), 3))
+    arm = np.hypot(np.linalg.norm(obj.p_BC - c, axis=1), calc_spin_lever_arm(obj, params))
+    poses = np.empty((PUSH_STEPS, len(start), 3))
     follow_roughly(
         values=table.values,
         corner=table.corner,
         step=table.step,
         start=np.array(start, order="C"),
         direction=np.array(direction, order="C"),
-        length=distance / STEPS,
+        length=distance / PUSH_STEPS,
         radius=float(radius),
         center=c,
         inverse=1.0 / float(k @ arm) ** 2,  # 1 / lambda²
@@ -171,7 +171,7 @@ def predict_roughly(
 
 
 @dataclass(frozen=True, eq=False)
-class Screening:
+class RankedPushes:
     """Pushes with which to begin a search, best first.
 
     Attributes:
@@ -187,7 +187,7 @@ class Screening:
     rough_cost: Array
 
 
-def screen(runner: TrialRunner) -> Screening:
+def screen(runner: TrialRunner) -> RankedPushes:
     """Ranks pushes from the runner's pose towards its goal.
 
     Returns:
@@ -196,11 +196,11 @@ def screen(runner: TrialRunner) -> Screening:
     """
     options = runner.options
     # All places with all directions.
-    s, piece = runner.reach.spread(runner.reach.length / PLACES)
-    angles = np.linspace(*options.angle_range, ANGLES)
+    s, piece = runner.reach.spread(runner.reach.length / PLACE_COUNT)
+    angles = np.linspace(*options.angle_range, DIRECTION_COUNT)
     angle = np.tile(angles, len(s))
-    s = np.repeat(s, ANGLES)
-    piece = np.repeat(piece, ANGLES)
+    s = np.repeat(s, DIRECTION_COUNT)
+    piece = np.repeat(piece, DIRECTION_COUNT)
     normal = runner.reach.normal[piece]
     radius = options.pusher.choose_radius(runner.model.obj)
     start = runner.reach.point(s, piece) + (radius + options.pusher.clearance) * normal
@@ -213,7 +213,7 @@ def screen(runner: TrialRunner) -> Screening:
     start = start[keep]
     direction = direction[keep]
     if not len(s):
-        return Screening(arc_length=s, piece=piece, angle=angle, rough_cost=np.empty(0))
+        return RankedPushes(arc_length=s, piece=piece, angle=angle, rough_cost=np.empty(0))
     longest = runner.distance_range[1]
     poses = predict_roughly(runner.model, start, direction, longest, radius)
     costs = _calc_rough_costs(runner, poses)
@@ -222,7 +222,7 @@ def screen(runner: TrialRunner) -> Screening:
         return _count_allowed(runner, poses[:, some], start[some], direction[some])
 
     chosen, cost = _pick_apart(runner, s, angle, costs, count_allowed, options.starts)
-    return Screening(
+    return RankedPushes(
         arc_length=s[chosen], piece=piece[chosen], angle=angle[chosen], rough_cost=cost
     )
 
@@ -324,8 +324,8 @@ def _pick_apart(
             near |= at_place & (np.abs(angle - angle[i]) < NEAR_ANGLE)
             continue
         if i not in allowed_of:
-            block = order[rank : rank + 2 * BLOCK]
-            block = block[~near[block]][:BLOCK]
+            block = order[rank : rank + 2 * BLOCK_SIZE]
+            block = block[~near[block]][:BLOCK_SIZE]
             allowed_of.update(zip(block.tolist(), count_allowed(block).tolist(), strict=True))
         allowed = allowed_of[i]
         if allowed:

@@ -117,13 +117,13 @@ def optimize_contact(
         PlanningError: an argument is out of range, or the finger fits nowhere on the outline.
     """
     begin = perf_counter()
-    if method not in METHODS:
-        raise PlanningError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
+    if method not in SEARCH_METHODS:
+        raise PlanningError(f"method is {method!r}; expected one of {', '.join(SEARCH_METHODS)}")
     options = options or ContactOptions()
     q = check_vector(PlanningError, "pose", pose, 3)
     aim = check_vector(PlanningError, "goal", goal, 3)
     runner = make_runner(model, q, aim, constraints, options)
-    trials = METHODS[method](runner)[:MAX_CANDIDATES]
+    trials = SEARCH_METHODS[method](runner)[:MAX_CANDIDATES]
     found = tuple(runner.finish(trial, runner.simulations) for trial in trials)
     start_cost = float(calc_goal_error(model.obj, q, aim))
     if not found:
@@ -182,20 +182,20 @@ MIN_DAMPING = 1e-3
 MAX_DAMPING = 30.0
 """A start whose lambda becomes larger than this has come to its end."""
 
-LOOSEN = 0.3
+DAMPING_DECREASE = 0.3
 """lambda is multiplied by this after a step that helped."""
 
-TIGHTEN = 6.0
+DAMPING_INCREASE = 6.0
 """lambda is multiplied by this after a step that did not help."""
 
 MAX_STEP = 0.12
-"""Greatest step along the outline, as a share of its perimeter."""
+"""Greatest step along the outline, as a fraction of its perimeter."""
 
 MAX_TURN = 0.5
 """Greatest step of the direction, rad."""
 
 SAME_PLACE = 0.03
-"""If a start comes as near as this to a better one, as a share of the perimeter, and as near as
+"""If a start comes as near as this to a better one, as a fraction of the perimeter, and as near as
 `SAME_TURN` in direction, it ends."""
 
 SAME_TURN = 0.2
@@ -204,7 +204,7 @@ SAME_TURN = 0.2
 GAIN_FACTOR = 2.0
 """A start is taken to be able to improve by this many times the predicted gain of its next step."""
 
-TINY = 1e-12
+TINY_DIVISOR = 1e-12
 """Replaces a divisor or a diagonal element that may be zero."""
 
 SAME_CONTACT = 1e-6
@@ -214,15 +214,15 @@ nowhere new, and is not simulated."""
 # Of the walks along the outline.
 
 DIFFERENCE_PLACE = 0.04
-"""First step of the finite-difference walk along the outline, as a share of its perimeter."""
+"""First step of the finite-difference walk along the outline, as a fraction of its perimeter."""
 
 DIFFERENCE_TURN = 0.25
 """First step of the finite-difference walk in direction, rad."""
 
-HALVINGS = 4
+MAX_HALVINGS = 4
 """Number of step sizes, each half the one before, after which the finite-difference walk ends."""
 
-REFINEMENTS = 6
+REFINEMENT_STEPS = 6
 """Number of step sizes with which the exhaustive search walks on from a node, the first half the
 grid's spacing. With a long push, a millimeter along the outline may move the end by centimeters,
 which no grid resolves."""
@@ -312,7 +312,7 @@ def _plan_step(walk: _Walk, runner: TrialRunner) -> None:
         H=H,
         slope=slope,
         damping=walk.damping,
-        least=TINY,
+        least=TINY_DIVISOR,
         free=free,
         limit=np.array([MAX_STEP * runner.reach.perimeter, MAX_TURN, np.inf]),
         dx=dx,
@@ -332,9 +332,9 @@ def _advance(walk: _Walk, runner: TrialRunner) -> None:
         trial = runner.run(s, piece, angle, gradient=True, better_than=walk.trial.cost)
     if trial.cost < walk.trial.cost:
         walk.trial = trial
-        walk.damping = max(MIN_DAMPING, walk.damping * LOOSEN)
+        walk.damping = max(MIN_DAMPING, walk.damping * DAMPING_DECREASE)
     else:
-        walk.damping *= TIGHTEN
+        walk.damping *= DAMPING_INCREASE
     _plan_step(walk, runner)
 
 
@@ -374,7 +374,7 @@ def search_by_differences(runner: TrialRunner) -> list[Trial]:
     trials = _sort_allowed(trials)
     first_step = DIFFERENCE_PLACE * runner.reach.perimeter
     walked = [
-        _walk_along(runner, trial, first_step, DIFFERENCE_TURN, HALVINGS, options.budget)
+        _walk_along(runner, trial, first_step, DIFFERENCE_TURN, MAX_HALVINGS, options.budget)
         for trial in trials
     ]
     return sorted(walked, key=lambda trial: trial.cost)
@@ -442,14 +442,14 @@ def search_exhaustively(runner: TrialRunner) -> list[Trial]:
     # What lies between the nodes: the steps begin with half the grid's spacing.
     turn = float(np.ptp(angles)) / max(options.angles - 1, 1) / 2
     walked = [
-        _walk_along(runner, trial, spacing / 2, turn, REFINEMENTS)
+        _walk_along(runner, trial, spacing / 2, turn, REFINEMENT_STEPS)
         for trial in trials[: options.refined]
     ]
     trials[: options.refined] = walked
     return sorted(trials, key=lambda trial: trial.cost)
 
 
-METHODS: dict[str, Search] = {
+SEARCH_METHODS: dict[str, Search] = {
     "gradient": search_by_gradient,
     "finite_difference": search_by_differences,
     "exhaustive": search_exhaustively,

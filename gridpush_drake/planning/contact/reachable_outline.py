@@ -20,7 +20,7 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 
-TOUCHING = 1e-6
+TOUCHING_DEPTH = 1e-6
 """A disc that is this much inside the object still counts as touching it, m."""
 
 ARC_SEGMENTS = 64
@@ -30,8 +30,8 @@ MIN_PIECE = 1e-5
 """A reachable piece must be longer than this, m, unless its edge is not."""
 
 END_ROOM = 1e-7
-"""Reachable pieces end this share of the perimeter short of a vertex, where the normal is still the
-edge's own."""
+"""Reachable pieces end this fraction of the perimeter short of a vertex, where the normal is still
+the edge's own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,22 +99,22 @@ class ReachableOutline:
         count = max(1, int(np.ceil(self._ends[-1] / spacing)))
         return self.locate((np.arange(count) + 0.5) / count)
 
-    def locate(self, share: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
-        """Finds places by the share of all pieces' length that is before them.
+    def locate(self, fraction: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
+        """Finds places by the fraction of all pieces' length that is before them.
 
         Args:
-            share: (...,) 0 to below 1.
+            fraction: (...,) 0 to below 1.
 
         Returns:
             Arc lengths (...,), m, and the pieces (...,) that they are on.
         """
         ends = self._ends
-        traveled = ends[-1] * np.asarray(share, dtype=np.float64)
+        traveled = ends[-1] * np.asarray(fraction, dtype=np.float64)
         piece = np.searchsorted(ends, traveled, side="right")
         return self.high[piece] - (ends[piece] - traveled), piece
 
-    def calc_share(self, arc_length: float, piece: int) -> float:
-        """Calculates the share of all pieces' length before a place; the inverse of `locate`.
+    def calc_fraction(self, arc_length: float, piece: int) -> float:
+        """Calculates the fraction of all pieces' length before a place; the inverse of `locate`.
 
         Args:
             arc_length: of the place, m.
@@ -166,7 +166,7 @@ def find_reachable_outline(
     reach = radius + clearance
     offset = shapely.linestrings(np.stack([start + reach * normal, end + reach * normal], axis=1))
     grown = shapely.buffer(
-        shapely.Polygon(obj.outline.exterior), reach - TOUCHING, quad_segs=ARC_SEGMENTS
+        shapely.Polygon(obj.outline.exterior), reach - TOUCHING_DEPTH, quad_segs=ARC_SEGMENTS
     )
     # What of each edge is not within the grown object: rows of edge, and arc lengths at both ends.
     room = END_ROOM * edges.perimeter

@@ -36,7 +36,6 @@ from gridpush_drake.dynamics.simulation import PushSteps, check_friction, simula
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
-from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.contact_kernels import (
     fill_cost_derivatives,
@@ -44,6 +43,7 @@ from gridpush_drake.planning.contact.contact_kernels import (
 )
 from gridpush_drake.planning.contact.reachable_outline import ReachableOutline
 from gridpush_drake.planning.push_constraints import PushChecker
+from gridpush_drake.units import MM_PER_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,8 @@ class PlannedPush:
     def __repr__(self) -> str:
         """How far it pushes and what is left to the goal, in a line."""
         return (
-            f"PlannedPush of {self.distance * MM:.0f} mm: {self.cost * MM:.1f} mm from the goal "
+            f"PlannedPush of {self.distance * MM_PER_M:.0f} mm: {self.cost * MM_PER_M:.1f} mm "
+            "from the goal "
             "afterwards"
         )
 
@@ -105,7 +106,7 @@ MIN_RESIDUAL = 1e-4
 """A cell that is nearer than this to where it should be weighs no more in H than at this distance,
 m."""
 
-STILL = np.zeros(3)
+ZERO_TWIST = np.zeros(3)
 """Velocity of an object before it is pushed, m/s and rad/s."""
 
 DISTANCE_TOUCH = 1e-9
@@ -275,7 +276,7 @@ class TrialRunner:
             self.model,
             push,
             pose=self.pose,
-            velocity=STILL,
+            velocity=ZERO_TWIST,
             steps=steps,
         )
         self.simulations += 1
@@ -335,7 +336,7 @@ class TrialRunner:
             self.model,
             push,
             pose=self.pose,
-            velocity=STILL,
+            velocity=ZERO_TWIST,
             steps=self._steps.take_first(k),
             gradients="push",
         ).jacobian

@@ -2,7 +2,7 @@
 
 What was learned is z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S). A push whose end would be seen
 as the residual r = J z + noise, with J exact from its simulation and noise ~ N(0, R)
-(`identification.noise.NoiseModel`), leaves
+(`identification.statistics.noise.NoiseModel`), leaves
 
     S' = S - S J^T (J S J^T + R)^-1 J S
 
@@ -34,9 +34,9 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
-from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.statistics.posterior import Posterior, calc_center_jacobian
+from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
@@ -104,7 +104,7 @@ class PokeOptions:
         distance: of a poke, the clearance included, m.
         places: number of places along the outline.
         angles: of the motion from the inward normal, rad.
-        min_separation: share of the outline's length by which a poke begins away from every poke
+        min_separation: fraction of the outline's length by which a poke begins away from every poke
             made before: what the model gets wrong at one place it would get wrong there again.
 
     Raises:
@@ -299,7 +299,7 @@ def make_center_functional(model: PokeBelief, direction: ArrayLike | None = None
     Returns:
         F, (2, n+1), or (1, n+1) along `direction`.
     """
-    F = calc_center_jacobian(model.require_posterior().calc_share(), model.obj.p_BC)
+    F = calc_center_jacobian(model.require_posterior().calc_fraction(), model.obj.p_BC)
     return F if direction is None else np.asarray(direction, dtype=np.float64)[None] @ F
 
 
@@ -319,13 +319,13 @@ def make_farthest_functional(model: PokeBelief, direction: ArrayLike) -> Array:
     """
     d = np.asarray(direction, dtype=np.float64)
     along = model.obj.p_BC @ d
-    share = model.require_posterior().calc_share()
+    fraction = model.require_posterior().calc_fraction()
     low, high = model.friction_range or (model.obj.prior.friction_min, model.obj.prior.friction_max)
     # The farthest center of mass is that of the masses in which all cells beyond it are as heavy,
     # and all others as light, as the bounds allow. Which cells those are changes only at ties, so
     # that its derivatives are those of the center of these masses.
-    farthest = calc_farthest_center(along, share[None] / high, share[None] / low)[0]
-    mass = share / np.where(along > farthest, low, high)
+    farthest = calc_farthest_center(along, fraction[None] / high, fraction[None] / low)[0]
+    mass = fraction / np.where(along > farthest, low, high)
     return np.asarray(d[None] @ calc_center_jacobian(mass / mass.sum(), model.obj.p_BC))
 
 

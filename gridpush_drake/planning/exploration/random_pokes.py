@@ -23,7 +23,7 @@ from gridpush_drake.planning.exploration.strategy import PokeProposal
 from gridpush_drake.planning.push_constraints import PushConstraints
 
 ROUNDING = 1e-6
-"""Share of the gap between tip and outline that may be missing at the start. A point that is
+"""Fraction of the gap between tip and outline that may be missing at the start. A point that is
 calculated on the outline is not exactly on it."""
 
 WAYPOINTS = 4

@@ -1,7 +1,7 @@
 from .finger_world import FingerWorld as FingerWorld
 from .finger_world import FollowRun as FollowRun
 from .finger_world import LcpFingerWorld as LcpFingerWorld
-from .finger_world import Sight as Sight
+from .finger_world import PoseSensorModel as PoseSensorModel
 from .finger_world import follow as follow
 from .follow_log import FollowLog as FollowLog
 from .follow_log import SeenPose as SeenPose

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.dynamics.kernels.finger_push import (
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
     MEMORY,
-    STATE,
+    STATE_SIZE,
     THETA,
     TIP_X,
     TIP_Y,
@@ -38,21 +38,21 @@ from gridpush_drake.pushes.push_log import PushLog
 WORLD_STEP = 0.0005
 """Length of the finger's path in a step of the world, m: a fifth of what the search takes."""
 
-WAIT = 1.0
+MAX_POSE_WAIT = 1.0
 """Time for which `follow` waits for a first pose, s."""
 
-SETTLED = 1e-9
+TIME_TOLERANCE = 1e-9
 """Two times are one if they differ by less, s."""
 
 
 @dataclass(frozen=True)
-class Sight:
+class PoseSensorModel:
     """How the object is seen.
 
     Attributes:
         period: time between two poses, s.
         delay: time after which a pose comes, s.
-        missing: share of the poses that never come.
+        missing: fraction of the poses that never come.
         position_std: standard deviation of a seen position, per axis, m.
         angle_std: standard deviation of a seen angle, rad.
 
@@ -85,19 +85,23 @@ class FingerWorld(ABC):
     Attributes:
         time: now, s.
         tip: (2,) where the finger's center is, W, m.
-        sight: how the object is seen.
+        pose_sensor: how the object is seen.
         poses: (3,) true poses of the object at the ends of all ticks so far, for judges.
     """
 
     def __init__(
-        self, pose: ArrayLike, tip: ArrayLike, sight: Sight | None = None, seed: int = 0
+        self,
+        pose: ArrayLike,
+        tip: ArrayLike,
+        pose_sensor: PoseSensorModel | None = None,
+        seed: int = 0,
     ) -> None:
         """Looks at the object for the first time.
 
         Args:
             pose: (3,) where it lies, m and rad.
             tip: (2,) where the finger is, m.
-            sight: how the object is seen.
+            pose_sensor: how the object is seen.
             seed: of the noise.
 
         Raises:
@@ -105,7 +109,7 @@ class FingerWorld(ABC):
         """
         self.time = 0.0
         self.tip = check_vector(PlanningError, "tip", tip, 2, "m")
-        self.sight = sight or Sight()
+        self.pose_sensor = pose_sensor or PoseSensorModel()
         self.poses: list[Array] = []
         self._rng = np.random.default_rng(seed)
         self._coming: deque[SeenPose] = deque()
@@ -125,7 +129,7 @@ class FingerWorld(ABC):
     def do_steer(self, tip: Array, duration: float) -> None:
         """Moves the finger evenly from `tip` to a place (2,), m, within a time, s."""
 
-    def shove(self, pose: ArrayLike) -> None:
+    def disturb(self, pose: ArrayLike) -> None:
         """Puts the object down elsewhere, at a pose (3,), m and rad, as somebody's hand does.
 
         Raises:
@@ -139,14 +143,14 @@ class FingerWorld(ABC):
         Returns:
             The poses that came meanwhile, in order.
         """
-        duration = self.sight.period
+        duration = self.pose_sensor.period
         tip = self.tip + duration * np.asarray(velocity, dtype=np.float64)
         self.do_steer(tip, duration)
         self.tip = tip
         self.time += duration
         self.poses.append(self.pose)
         self._look()
-        due = self.time - self.sight.delay + SETTLED
+        due = self.time - self.pose_sensor.delay + TIME_TOLERANCE
         came = []
         while self._coming and self._coming[0].time <= due:
             came.append(self._coming.popleft())
@@ -154,10 +158,10 @@ class FingerWorld(ABC):
 
     def _look(self) -> None:
         """Sees the object, with noise, or does not."""
-        sight = self.sight
-        std = np.array([sight.position_std, sight.position_std, sight.angle_std])
+        pose_sensor = self.pose_sensor
+        std = np.array([pose_sensor.position_std, pose_sensor.position_std, pose_sensor.angle_std])
         seen = self.pose + std * self._rng.standard_normal(3)
-        if self._rng.random() >= sight.missing:
+        if self._rng.random() >= pose_sensor.missing:
             self._coming.append(SeenPose(self.time, seen))
 
 
@@ -176,7 +180,7 @@ class LcpFingerWorld(FingerWorld):
         pose: ArrayLike,
         tip: ArrayLike,
         radius: float,
-        sight: Sight | None = None,
+        pose_sensor: PoseSensorModel | None = None,
         seed: int = 0,
     ) -> None:
         """Puts object and finger down.
@@ -187,7 +191,7 @@ class LcpFingerWorld(FingerWorld):
             pose: (3,) where it lies, m and rad.
             tip: (2,) where the finger is, m.
             radius: of the finger, m.
-            sight: how the object is seen.
+            pose_sensor: how the object is seen.
             seed: of the noise.
 
         Raises:
@@ -198,8 +202,8 @@ class LcpFingerWorld(FingerWorld):
         self.params = params
         model = make_model(obj, params, radius, approximate=False)
         self._model = model._replace(step=WORLD_STEP)
-        self._state = np.zeros(STATE)
-        super().__init__(pose, tip, sight, seed)
+        self._state = np.zeros(STATE_SIZE)
+        super().__init__(pose, tip, pose_sensor, seed)
 
     @property
     def pose(self) -> Array:
@@ -264,10 +268,11 @@ def follow(
     Raises:
         PlanningError: a decision's time is shorter than that between two poses.
     """
-    per_decision = round(follower.options.period / world.sight.period)
+    per_decision = round(follower.options.period / world.pose_sensor.period)
     if per_decision < 1:
         raise PlanningError(
-            f"sight: period is {world.sight.period:g} s; expected at most that of a decision, "
+            f"sight: period is {world.pose_sensor.period:g} s; expected at most that of a "
+            "decision, "
             f"{follower.options.period:g} s"
         )
     if learner is not None and log is None:
@@ -285,8 +290,8 @@ def follow(
     while True:
         decision = follower.decide(world.time, world.tip)
         decisions += 1
-        waits = decision.status == FollowStatus.NO_POSE and world.time < begin + WAIT
-        goes_on = decision.status == FollowStatus.PUSHING or waits
+        is_waiting = decision.status == FollowStatus.NO_POSE and world.time < begin + MAX_POSE_WAIT
+        goes_on = decision.status == FollowStatus.PUSHING or is_waiting
         if not goes_on or world.time - begin > most:
             break
         # the velocity holds until the next decision, while poses come

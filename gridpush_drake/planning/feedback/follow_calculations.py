@@ -31,13 +31,13 @@ from gridpush_drake.planning.loop_run import Learner
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import PushLog
 
-BEHIND = 0.012
+APPROACH_GAP = 0.012
 """Gap between finger and object where the finger comes down, m."""
 
-DIRECTIONS = 36
+APPROACH_DIRECTIONS = 36
 """Directions around the object in which a place for the finger is looked for."""
 
-PIECES = 8
+MAX_PIECES = 8
 """Greatest number of pieces of the way so far that are learned from, the last ones."""
 
 
@@ -78,7 +78,7 @@ class FollowRules:
 
 
 @dataclass(frozen=True, eq=False)
-class Ride:
+class FollowProgress:
     """What was seen while the finger was steered, from which is learned before a further path.
 
     Attributes:
@@ -116,7 +116,7 @@ def prepare_after(
     rules: FollowRules,
     *,
     pokes: PushLog,
-    ride: Ride,
+    follow_run: FollowProgress,
 ) -> Prepared:
     """Prepares a further path, for which is learned from the way so far as well.
 
@@ -126,14 +126,19 @@ def prepare_after(
         pose: (3,) where it lies, X_WB, m and rad.
         rules: where to, and how.
         pokes: the pokes.
-        ride: what was seen while the finger was steered; empty before the first path.
+        follow_run: what was seen while the finger was steered; empty before the first path.
     """
-    again = learn_on(obj, learned, rules, pokes=pokes, ride=ride)
+    again = learn_on(obj, learned, rules, pokes=pokes, follow_run=follow_run)
     return prepare(obj, learned if again is None else again, pose, rules)
 
 
 def learn_on(
-    obj: GridObject, learned: Identification, rules: FollowRules, *, pokes: PushLog, ride: Ride
+    obj: GridObject,
+    learned: Identification,
+    rules: FollowRules,
+    *,
+    pokes: PushLog,
+    follow_run: FollowProgress,
 ) -> Identification | None:
     """Learns from the pokes and the way so far; None where the way tells nothing yet.
 
@@ -142,14 +147,14 @@ def learn_on(
         learned: what was learned of it from the pokes, with which the search begins.
         rules: where to, and how.
         pokes: the pokes.
-        ride: what was seen while the finger was steered.
+        follow_run: what was seen while the finger was steered.
     """
     log = FollowLog(obj, rules.finger.radius)
-    for time, x, y in ride.tips:
+    for time, x, y in follow_run.tips:
         log.add_tip(time, np.array([x, y]))
-    for each in ride.seen:
+    for each in follow_run.seen:
         log.add_pose(each)
-    pieces = log.cut()[-PIECES:]
+    pieces = log.cut()[-MAX_PIECES:]
     if not pieces:
         return None
     pushes = PushLog((*pokes, *pieces))
@@ -211,7 +216,7 @@ def find_places(obj: GridObject, pose: Array, path: PosePath, rules: FollowRules
     ahead = centers[int(away.argmax())] if away.any() else centers[-1]
     behind = float(np.arctan2(*(center - ahead)[::-1]))
     # directions in the order of how far they are from that
-    turns = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
+    turns = np.linspace(-np.pi, np.pi, APPROACH_DIRECTIONS, endpoint=False)
     turns = turns[np.argsort(np.abs(turns), kind="stable")]
     outline = shapely.Polygon(transform(pose, shapely.get_coordinates(obj.outline)))
     corners = shapely.get_coordinates(outline)
@@ -220,7 +225,7 @@ def find_places(obj: GridObject, pose: Array, path: PosePath, rules: FollowRules
     places = []
     for turn in turns:
         way = make_direction(np.array(behind + turn))
-        reach = float(((corners - center) @ way).max()) + radius + BEHIND
+        reach = float(((corners - center) @ way).max()) + radius + APPROACH_GAP
         place = center + reach * way
         if _allows_finger(room, place, radius):
             places.append(place)

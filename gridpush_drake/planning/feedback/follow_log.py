@@ -18,7 +18,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.pushes.push_log import ObservedPush
 
-PIECE = 1.5
+PIECE_DURATION = 1.5
 """Duration of a piece, s."""
 
 LEAST_MOTION = 0.005
@@ -27,7 +27,7 @@ LEAST_MOTION = 0.005
 LEAST_WAY = 0.005
 """Way of the finger in a piece, m."""
 
-OBSERVED = 8
+OBSERVED_POSE_COUNT = 8
 """Poses of a piece that are kept after the first one: neighbors tell nearly the same."""
 
 
@@ -53,7 +53,7 @@ class FollowLog:
         piece: duration of a piece, s.
     """
 
-    def __init__(self, obj: GridObject, radius: float, piece: float = PIECE) -> None:
+    def __init__(self, obj: GridObject, radius: float, piece: float = PIECE_DURATION) -> None:
         """Begins with nothing.
 
         Args:
@@ -116,7 +116,7 @@ class FollowLog:
         xy = np.column_stack([np.interp(t, times, tips[:, i]) for i in range(2)])
         if not np.linalg.norm(np.diff(xy, axis=0), axis=1).sum() > LEAST_WAY:
             return None
-        rows = np.unique(np.linspace(1, len(seen) - 1, OBSERVED).round().astype(int))
+        rows = np.unique(np.linspace(1, len(seen) - 1, OBSERVED_POSE_COUNT).round().astype(int))
         return ObservedPush(
             name=name,
             push=Push.along(t, xy, self.radius),

@@ -7,7 +7,7 @@ import numpy as np
 
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.planning.feedback.pose_track import FARTHEST
+from gridpush_drake.planning.feedback.pose_track import MAX_COORDINATE
 
 
 class FollowStatus(StrEnum):
@@ -44,7 +44,7 @@ FOLLOW_REASONS = {
     ),
     FollowStatus.STUCK: "The object does not get on, whatever the finger does.",
     FollowStatus.GOAL_TOO_FAR: (
-        f"The goal is no place on a table: it is farther than {FARTHEST:g} m from the origin."
+        f"The goal is no place on a table: it is farther than {MAX_COORDINATE:g} m from the origin."
     ),
     FollowStatus.GOAL_OFF_TABLE: (
         "At the goal pose the object hangs over the table's edge further than it may."
@@ -65,7 +65,11 @@ AT_GOAL = "The object is at its goal: the finger rests until the object was seen
 NO_PUSH_FOUND = "No push was found that brings the object nearer: the finger rests until one is."
 """Reason of "pushing" if the search found nothing better than to stand still."""
 
-HOPELESS = (FollowStatus.GOAL_OFF_TABLE, FollowStatus.GOAL_BLOCKED, FollowStatus.PATH_BLOCKED)
+HOPELESS_STATUSES = (
+    FollowStatus.GOAL_OFF_TABLE,
+    FollowStatus.GOAL_BLOCKED,
+    FollowStatus.PATH_BLOCKED,
+)
 """Statuses that no pose of the object changes."""
 
 
@@ -98,10 +102,10 @@ class FollowOptions:
         attempts: searches in one decision on the way to a goal, each of which counts decisions half
             as much.
         no_pose_after: age of the last pose from which the finger rests, s.
-        unlike: share of the object's motion that the model does not explain, from which on it
+        unlike: fraction of the object's motion that the model does not explain, from which on it
             counts as one of another object.
         unlike_after: time for which this must last, s, until the finger rests.
-        least_response: share of the motion which the finger should have caused that must be seen
+        least_response: fraction of the motion which the finger should have caused that must be seen
             (`PoseTrack.response`); with less the object counts as one of another object, too.
         disturbances: number of disturbances on the way to one goal after which the finger rests
             for good.

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.finger_push import (
-    STATE,
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
+    STATE_SIZE,
     THETA,
     TIP_X,
     TIP_Y,
@@ -37,7 +37,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback.pushed_object import make_model
 
 LEAST_MASS = 1e-4
-"""Least mass of a cell after a correction, as a share of the mean cell's."""
+"""Least mass of a cell after a correction, as a fraction of the mean cell's."""
 
 CONTACT_FRICTIONS = (0.02, 1.5)
 """Least and greatest friction of the finger against the outline after a correction."""
@@ -53,7 +53,7 @@ class EnsembleOptions:
         longest: time after which a motion that is less tells nothing, s.
         position_std: standard deviation of a filtered position, per axis, m.
         angle_std: standard deviation of a filtered angle, rad.
-        unexplained: share of the motion that no model of the ensemble explains.
+        unexplained: fraction of the motion that no model of the ensemble explains.
         growth: factor by which the ensemble spreads with each correction, at most to the spread
             that it had first: so it never becomes too sure to be corrected.
     """
@@ -130,7 +130,7 @@ class ModelEnsemble:
 
     def forget(self) -> None:
         """Forgets where the object was: it was shoved, or is seen for the first time."""
-        self._begin = np.full(STATE, np.nan)
+        self._begin = np.full(STATE_SIZE, np.nan)
         self._begun_at = -np.inf
         self._tips: list[Array] = []
 
@@ -154,7 +154,7 @@ class ModelEnsemble:
         else:
             corrects = False
         # from here on
-        self._begin = np.zeros(STATE)
+        self._begin = np.zeros(STATE_SIZE)
         self._begin[X : THETA + 1] = pose
         self._begin[TIP_X : TIP_Y + 1] = tips[-1]
         self._begun_at = time

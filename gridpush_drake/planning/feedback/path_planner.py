@@ -1,11 +1,12 @@
 """A path of an object among obstacles that a finger can push it along.
 
 The planner searches over the object's poses by A*. From a pose it goes on by short pushes: a finger
-that touches the outline at one of several places, at one of several angles, moves on by MOVE. What
-these do to the object is simulated once by the learned model, in the body frame, and holds at every
-pose, for the friction with the table does not depend on it. A move costs the finger's way; a change
-to another place of the outline costs the way along the outline in addition. What is still to go is
-estimated by `CostToGo`, which knows the obstacles, but takes the object for one that slides freely.
+that touches the outline at one of several places, at one of several angles, moves on by
+MOVE_LENGTH. What these do to the object is simulated once by the learned model, in the body frame,
+and holds at every pose, for the friction with the table does not depend on it. A move costs the
+finger's way; a change to another place of the outline costs the way along the outline in addition.
+What is still to go is estimated by `CostToGo`, which knows the obstacles, but takes the object for
+one that slides freely.
 
 The path ends at a pose near the goal, and then at the goal: the last bit is not a push that was
 found, and is left to the controller (`push_follower`), as is whatever the path does not follow.
@@ -17,13 +18,13 @@ from heapq import heappop, heappush
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.dynamics.kernels.finger_push import (
-    STATE,
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
+    STATE_SIZE,
     THETA,
     TIP_X,
     TIP_Y,
+    FreeSpace,
     PushedModel,
-    Room,
     X,
     follow_tip,
 )
@@ -36,47 +37,47 @@ from gridpush_drake.planning.feedback.follow_options import FOLLOW_REASONS, Foll
 from gridpush_drake.planning.feedback.pose_path import PosePath
 from gridpush_drake.planning.feedback.push_search import check_moves
 from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger, make_model, make_room
-from gridpush_drake.planning.feedback.ways import make_ways
+from gridpush_drake.planning.feedback.ways import make_outline_path
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.push_constraints import PushConstraints
 
-MOVE = 0.03
+MOVE_LENGTH = 0.03
 """Way of the finger in a move, m."""
 
-PARTS = 3
+POSES_PER_MOVE = 3
 """Poses of a move that are checked, and that are poses of the path, its end among them."""
 
-PLACES = 24
+PLACE_COUNT = 24
 """Places round the object where a move may touch."""
 
-ANGLES = (-0.5, -0.25, 0.0, 0.25, 0.5)
+MOVE_ANGLES = (-0.5, -0.25, 0.0, 0.25, 0.5)
 """Angles of a move from the inward normal, rad."""
 
 LEAST_MOVE = 0.3
-"""Share of the finger's way that a move must move the object, for a move to be of use."""
+"""Fraction of the finger's way that a move must move the object, for a move to be of use."""
 
 CHANGE_COST = 0.02
 """What a change to another place of the outline costs beside the way along it, m."""
 
-CHANGE_SHARE = 0.3
-"""Share of the way along the outline that a change costs: the finger is faster there."""
+CHANGE_FRACTION = 0.3
+"""Fraction of the way along the outline that a change costs: the finger is faster there."""
 
-GREED = 1.5
+HEURISTIC_WEIGHT = 1.5
 """Weight of the estimate of what is to go. The path is at most so many times as long as need be."""
 
-CELL = 0.02
+CELL_SIZE = 0.02
 """Two poses whose cells' centroids are in one square of this side count as one, m."""
 
-TURN = np.pi / 16
+TURN_SIZE = np.pi / 16
 """Two poses whose angles are in one interval of this width count as one, rad."""
 
-NEAR = 0.02
+GOAL_TOLERANCE = 0.02
 """Mean cell error at which the path has come near enough to the goal, m."""
 
-MARGIN = 0.004
+PATH_MARGIN = 0.004
 """By how much more than the rules ask a path keeps clear, m, for it is not followed exactly."""
 
-MOST = 6000
+MAX_EXPANSIONS = 6000
 """Poses from which the search goes on, at most."""
 
 
@@ -102,7 +103,7 @@ class _Moves:
     """What short pushes do to the object, in the body frame.
 
     Attributes:
-        poses: (M, PARTS, 3) the object's poses, m and rad.
+        poses: (M, POSES_PER_MOVE, 3) the object's poses, m and rad.
         tips: (M, 2) the finger's center when each begins, m.
         places: (M,) where round the outline, as a length, m.
         perimeter: of the line on which the finger's center touches, m.
@@ -169,22 +170,22 @@ def _refuse(status: FollowStatus, expanded: int = 0) -> PathPlan:
 
 def _try_moves(obj: GridObject, model: PushedModel, finger: FeedbackFinger) -> _Moves:
     """Simulates all short pushes, and keeps those that move the object."""
-    ways = make_ways(obj.outline, finger.radius)
-    chosen = np.arange(0, len(ways.touch), max(1, len(ways.touch) // PLACES))
+    ways = make_outline_path(obj.outline, finger.radius)
+    chosen = np.arange(0, len(ways.touch), max(1, len(ways.touch) // PLACE_COUNT))
     perimeter = float(obj.outline.buffer(finger.radius).exterior.length)
     poses = []
     tips = []
     places = []
     for i in chosen:
-        for angle in ANGLES:
-            state = np.zeros(STATE)
+        for angle in MOVE_ANGLES:
+            state = np.zeros(STATE_SIZE)
             state[TIP_X : TIP_Y + 1] = ways.touch[i]
-            step = MOVE / PARTS * make_direction(ways.inward[i] + angle)
-            way = np.empty((PARTS, 3))
-            for k in range(PARTS):
+            step = MOVE_LENGTH / POSES_PER_MOVE * make_direction(ways.inward[i] + angle)
+            way = np.empty((POSES_PER_MOVE, 3))
+            for k in range(POSES_PER_MOVE):
                 follow_tip(model, state, (ways.touch[i] + (k + 1) * step)[None])
                 way[k] = state[X : THETA + 1]
-            if calc_goal_error(obj, way[-1], np.zeros(3)) > LEAST_MOVE * MOVE:
+            if calc_goal_error(obj, way[-1], np.zeros(3)) > LEAST_MOVE * MOVE_LENGTH:
                 poses.append(way)
                 tips.append(ways.touch[i])
                 places.append(i / len(ways.touch) * perimeter)
@@ -192,7 +193,7 @@ def _try_moves(obj: GridObject, model: PushedModel, finger: FeedbackFinger) -> _
 
 
 def _search(
-    obj: GridObject, start: Array, goal: Array, moves: _Moves, room: Room, cost_to_go: CostToGo
+    obj: GridObject, start: Array, goal: Array, moves: _Moves, room: FreeSpace, cost_to_go: CostToGo
 ) -> tuple[Array | None, int]:
     """Searches by A*; returns the poses (K, 3) of the path, if there is one, and its effort."""
     allowed = np.zeros(len(moves.poses), dtype=np.bool_)
@@ -203,9 +204,9 @@ def _search(
     cost = [0.0]
     closed: set[tuple[int, ...]] = set()
     first = float(cost_to_go.estimate_costs(start[None])[0])
-    queue = [(GREED * first, 0)]
+    queue = [(HEURISTIC_WEIGHT * first, 0)]
     expanded = 0
-    while queue and expanded < MOST:
+    while queue and expanded < MAX_EXPANSIONS:
         _, node = heappop(queue)
         pose = met[node]
         # of several ways to one cell the cheapest comes first; the others are passed over
@@ -214,19 +215,19 @@ def _search(
             continue
         closed.add(key)
         expanded += 1
-        if calc_goal_error(obj, pose, goal) < NEAR and cost_to_go.is_clear(pose, goal):
+        if calc_goal_error(obj, pose, goal) < GOAL_TOLERANCE and cost_to_go.is_clear(pose, goal):
             return _trace(node, met, before, by_move, moves, goal), expanded
-        check_moves(room, pose, moves.poses, moves.tips, MARGIN, allowed)
+        check_moves(room, pose, moves.poses, moves.tips, PATH_MARGIN, allowed)
         ways = np.flatnonzero(allowed)
         if not len(ways):
             continue
         ends = compose(pose, moves.poses[ways, -1])
         # a change of the place where it touches costs the way there
-        costs = np.full(len(ways), MOVE)
+        costs = np.full(len(ways), MOVE_LENGTH)
         if by_move[node] >= 0:
             along = np.abs(moves.places[ways] - moves.places[by_move[node]])
             along = np.minimum(along, moves.perimeter - along)
-            costs += np.where(along > 0, CHANGE_SHARE * along + CHANGE_COST, 0.0)
+            costs += np.where(along > 0, CHANGE_FRACTION * along + CHANGE_COST, 0.0)
         to_go = cost_to_go.estimate_costs(ends)
         # what cannot lead to the goal, or leads where it was before, is not kept
         for move, end, step, left in zip(ways, ends, costs, to_go, strict=True):
@@ -236,14 +237,14 @@ def _search(
             before.append(node)
             by_move.append(int(move))
             cost.append(cost[node] + float(step))
-            heappush(queue, (cost[-1] + GREED * float(left), len(met) - 1))
+            heappush(queue, (cost[-1] + HEURISTIC_WEIGHT * float(left), len(met) - 1))
     return None, expanded
 
 
 def _name_cell(pose: Array) -> tuple[int, ...]:
     """The cell of a pose (3,): poses in one cell count as one."""
-    x, y = np.floor(pose[:2] / CELL)
-    return int(x), int(y), int(np.floor(wrap_angle(pose[2]) / TURN))
+    x, y = np.floor(pose[:2] / CELL_SIZE)
+    return int(x), int(y), int(np.floor(wrap_angle(pose[2]) / TURN_SIZE))
 
 
 def _trace(

@@ -1,6 +1,6 @@
 """Refines a plan on a path by Gauss and Newton's method, for several models at once.
 
-What is moved is a path of straight lines between KNOTS places, which is added to the plan. The
+What is moved is a path of straight lines between KNOT_COUNT places, which is added to the plan. The
 residuals of the plan's cost are differentiated by these places, by rollouts. See
 `docs/theory/feedback.md`, section 7.
 """
@@ -9,18 +9,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.finger_push import STATE, THETA, PushedModel, Room, X
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
+    STATE_SIZE,
+    THETA,
+    FreeSpace,
+    PushedModel,
+    X,
+)
 from gridpush_drake.geometry.se2 import Array, transform, wrap_angle
-from gridpush_drake.planning.feedback.push_search import Wish, roll_plans
+from gridpush_drake.planning.feedback.push_search import TrackingCost, roll_plans
 
-KNOTS = 4
+KNOT_COUNT = 4
 """Places of a plan on a path that are moved by the refinement, with straight lines between."""
 
-DIFFERENCE = 2e-4
+DIFFERENCE_STEP = 2e-4
 """Step of the differences of the refinement, m."""
 
-DAMPING = 1e-2
-"""Damping of the refinement, as a share of the mean of the diagonal."""
+DAMPING_FRACTION = 1e-2
+"""Damping of the refinement, as a fraction of the mean of the diagonal."""
 
 LEAST_DAMPING = 1e-12
 """Least damping, for plans that move nothing."""
@@ -30,15 +36,20 @@ STEP_SIZES = np.array([1.0, 0.5, 0.2, 0.05])
 
 
 def refine_plan(
-    models: Sequence[PushedModel], wish: Wish, room: Room, state: Array, plan: Array, longest: float
+    models: Sequence[PushedModel],
+    cost_terms: TrackingCost,
+    room: FreeSpace,
+    state: Array,
+    plan: Array,
+    longest: float,
 ) -> bool:
     """Takes one damped step of the method, and keeps the best of a few lengths of it.
 
     Args:
         models: the estimate, and other models that count as much.
-        wish: what the object should do: follow a path.
+        cost_terms: what the object should do: follow a path.
         room: where object and finger may be.
-        state: (STATE,) now.
+        state: (STATE_SIZE,) now.
         plan: (T, 2) places of the finger, W, m; changed where the step makes it better.
         longest: farthest that the finger may go in a decision, m.
 
@@ -46,29 +57,29 @@ def refine_plan(
         Whether it got better.
     """
     count = len(plan)
-    corners = np.linspace(0.0, count - 1.0, KNOTS)
-    moves = np.zeros((2 * KNOTS, count, 2))
-    for i in range(KNOTS):
-        shape = np.interp(np.arange(count), corners, np.eye(KNOTS)[i])
+    corners = np.linspace(0.0, count - 1.0, KNOT_COUNT)
+    moves = np.zeros((2 * KNOT_COUNT, count, 2))
+    for i in range(KNOT_COUNT):
+        shape = np.interp(np.arange(count), corners, np.eye(KNOT_COUNT)[i])
         moves[i, :, 0] = shape
-        moves[KNOTS + i, :, 1] = shape
+        moves[KNOT_COUNT + i, :, 1] = shape
 
     # Normal equations of all models together.
-    tried = np.concatenate([plan[None], plan[None] + DIFFERENCE * moves])
-    H = np.zeros((2 * KNOTS, 2 * KNOTS))
-    gradient = np.zeros(2 * KNOTS)
+    tried = np.concatenate([plan[None], plan[None] + DIFFERENCE_STEP * moves])
+    H = np.zeros((2 * KNOT_COUNT, 2 * KNOT_COUNT))
+    gradient = np.zeros(2 * KNOT_COUNT)
     before = 0.0
     for model in models:
-        states, costs = _roll(model, wish, room, state, tried.copy(), longest)
+        states, costs = _roll(model, cost_terms, room, state, tried.copy(), longest)
         if not np.isfinite(costs[0]):
             return False
-        residuals = _calc_residuals(wish, states)
-        J = (residuals[1:] - residuals[0]).T / DIFFERENCE
+        residuals = _calc_residuals(cost_terms, states)
+        J = (residuals[1:] - residuals[0]).T / DIFFERENCE_STEP
         J[:, ~np.isfinite(costs[1:])] = 0.0
         H += J.T @ J
         gradient += J.T @ residuals[0]
         before += float(costs[0])
-    damping = DAMPING * np.trace(H) / len(H) + LEAST_DAMPING
+    damping = DAMPING_FRACTION * np.trace(H) / len(H) + LEAST_DAMPING
     step = np.linalg.solve(H + damping * np.eye(len(H)), -gradient)
 
     # The best of a few lengths of the step.
@@ -76,7 +87,7 @@ def refine_plan(
     tried = plan[None] + STEP_SIZES[:, None, None] * shift[None]
     total = np.zeros(len(STEP_SIZES))
     for model in models:
-        _, costs = _roll(model, wish, room, state, tried.copy(), longest)
+        _, costs = _roll(model, cost_terms, room, state, tried.copy(), longest)
         total += costs
     best = int(total.argmin())
     if not total[best] < before:
@@ -86,14 +97,19 @@ def refine_plan(
 
 
 def _roll(
-    model: PushedModel, wish: Wish, room: Room, state: Array, plans: Array, longest: float
+    model: PushedModel,
+    cost_terms: TrackingCost,
+    room: FreeSpace,
+    state: Array,
+    plans: Array,
+    longest: float,
 ) -> tuple[Array, Array]:
-    """Follows plans (P, T, 2) by one model; returns states (P, T + 1, STATE) and costs (P,)."""
-    states = np.empty((len(plans), plans.shape[1] + 1, STATE))
+    """Follows plans (P, T, 2) by a model; returns states (P, T + 1, STATE_SIZE), costs (P,)."""
+    states = np.empty((len(plans), plans.shape[1] + 1, STATE_SIZE))
     costs = np.empty(len(plans))
     roll_plans(
         model,
-        wish,
+        cost_terms,
         room,
         start=state,
         targets=plans,
@@ -104,18 +120,19 @@ def _roll(
     return states, costs
 
 
-def _calc_residuals(wish: Wish, states: Array) -> Array:
+def _calc_residuals(cost_terms: TrackingCost, states: Array) -> Array:
     """(P, 3T) numbers, m, whose squares add up to the costs of plans on a path."""
     # where the centroid is, seen along and across the path
     after = states[:, 1:]
     count = after.shape[1] + 1
-    center = transform(after[..., X : THETA + 1], wish.middle[None])[..., 0, :]
-    off = center - wish.references[1:count, :2]
-    along = wish.along[1:count]
+    center = transform(after[..., X : THETA + 1], cost_terms.middle[None])[..., 0, :]
+    off = center - cost_terms.references[1:count, :2]
+    along = cost_terms.along[1:count]
     ahead = (off * along).sum(axis=-1)
     beside = off[..., 1] * along[:, 0] - off[..., 0] * along[:, 1]
-    turn = wish.arm * wrap_angle(after[..., THETA] - wish.references[1:count, 2])
+    turn = cost_terms.arm * wrap_angle(after[..., THETA] - cost_terms.references[1:count, 2])
     found = np.stack(
-        [beside, np.sqrt(wish.weight_along) * ahead, np.sqrt(wish.weight_turn) * turn], axis=-1
+        [beside, np.sqrt(cost_terms.weight_along) * ahead, np.sqrt(cost_terms.weight_turn) * turn],
+        axis=-1,
     )
     return np.asarray(found.reshape(len(states), -1))

@@ -14,7 +14,7 @@ from gridpush_drake.errors import MAX_NUMBER, PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 
-SPACING = 0.002
+POINT_SPACING = 0.002
 """Length between the points by which an object's way along a path is kept, m."""
 
 LOOK_BACK = 0.01
@@ -89,7 +89,7 @@ class PosePath:
         return np.asarray(self.poses[-1])
 
 
-class ObjectWay:
+class PathProgress:
     """A path as it is for one object: how far along it the object is, and where it should be next.
 
     Attributes:
@@ -106,7 +106,7 @@ class ObjectWay:
         # the path at even lengths, so that a place on it is found by its index
         corners, arc = self._measure(path.poses, middle)
         self.length = float(arc[-1])
-        count = max(2, int(np.ceil(self.length / SPACING)) + 1)
+        count = max(2, int(np.ceil(self.length / POINT_SPACING)) + 1)
         self._arc = np.linspace(0.0, self.length, count)
         self._table = np.column_stack([np.interp(self._arc, arc, row) for row in corners.T])
         # Where the object turns on the spot, its heading stands for the direction of the path.
@@ -166,5 +166,5 @@ class ObjectWay:
         d = np.diff(self._table[:, :2], axis=0)
         size2 = np.maximum((d**2).sum(axis=1), 1e-18)
         off = centers[:, None] - a
-        share = np.clip((off * d).sum(axis=-1) / size2, 0.0, 1.0)
-        return np.asarray(np.linalg.norm(off - share[..., None] * d, axis=-1).min(axis=1))
+        fraction = np.clip((off * d).sum(axis=-1) / size2, 0.0, 1.0)
+        return np.asarray(np.linalg.norm(off - fraction[..., None] * d, axis=-1).min(axis=1))

@@ -6,10 +6,10 @@ own time, and only the difference is filtered: with the variances P of the estim
 
     q = q_model + K (q_seen - q_model),    K = P / (P + R),    P <- (1 - K) P
 
-P grows with the way d by which the model moved the object, of which it is wrong by a share, alike
-from pose to pose, and a little with time: sqrt(P) <- sqrt(P) + doubt d. A pose that differs by more
-than a few standard deviations is an outlier. It is believed only if the next pose agrees with it:
-then the object was disturbed, and is where these two poses say.
+P grows with the way d by which the model moved the object, of which it is wrong by a fraction,
+alike from pose to pose, and a little with time: sqrt(P) <- sqrt(P) + doubt d. A pose that differs
+by more than a few standard deviations is an outlier. It is believed only if the next pose agrees
+with it: then the object was disturbed, and is where these two poses say.
 
 Two numbers say whether the model is of this object at all: what was corrected lately, against how
 far the object was moved lately; and the response, which is how much of the motion that the finger
@@ -28,8 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.dynamics.kernels.finger_push import (
-    STATE,
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
+    STATE_SIZE,
     THETA,
     TIP_X,
     TIP_Y,
@@ -40,22 +40,22 @@ from gridpush_drake.dynamics.kernels.finger_push import (
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 
-REMEMBERED = 2.0
+MEMORY_TIME = 2.0
 """Time for which the finger's path is remembered, s."""
 
 RESPONSE_MEMORY = 2.0
 """Way of the object by the model, in radii of gyration, over which the response is averaged. There
 is no response before the model moved the object as far."""
 
-FARTHEST = 1e3
+MAX_COORDINATE = 1e3
 """Largest coordinate of a place or a pose, m or rad. A larger one is no measurement, and is treated
 as one that is not finite."""
 
 
 def is_plausible(numbers: ArrayLike) -> bool:
-    """Whether the coordinates of a place or a pose are finite, and at most FARTHEST in size."""
+    """Says whether coordinates are finite, and at most MAX_COORDINATE in size."""
     # Written so that NaN is not plausible.
-    return bool((np.abs(np.asarray(numbers, dtype=np.float64)) <= FARTHEST).all())
+    return bool((np.abs(np.asarray(numbers, dtype=np.float64)) <= MAX_COORDINATE).all())
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class TrackOptions:
     Attributes:
         position_std: standard deviation of a seen position, per axis, m.
         angle_std: standard deviation of a seen angle, rad.
-        doubt: share of the way moved by which the model may be off.
+        inflation: fraction of the way moved by which the model may be off.
         drift: standard deviation of what moves the object otherwise, m in a second.
         outlier: difference of a pose from the model's, in standard deviations, beyond which the
             pose is not believed unless the next one agrees with it.
@@ -76,7 +76,7 @@ class TrackOptions:
 
     position_std: float = 0.0005
     angle_std: float = 0.005
-    doubt: float = 0.15
+    inflation: float = 0.15
     drift: float = 0.0003
     outlier: float = 6.0
     memory: float = 1.0
@@ -85,7 +85,7 @@ class TrackOptions:
     def __post_init__(self) -> None:
         require_positive(PlanningError, "track: ", "m", position_std=self.position_std)
         require_positive(PlanningError, "track: ", "rad", angle_std=self.angle_std)
-        require_positive(PlanningError, "track: ", doubt=self.doubt, outlier=self.outlier)
+        require_positive(PlanningError, "track: ", inflation=self.inflation, outlier=self.outlier)
         require_positive(PlanningError, "track: ", "s", memory=self.memory)
 
 
@@ -95,7 +95,7 @@ class Belief:
 
     Attributes:
         time: time of the pose that it comes from, s.
-        state: (STATE,) state of object and finger.
+        state: (STATE_SIZE,) state of object and finger.
         variance: (3,) variances of the pose, m² and rad².
     """
 
@@ -134,7 +134,7 @@ class PoseTrack:
         self.moved = 0.0
         self.disturbances = 0
         self._arm = arm
-        self._believed = Belief(-np.inf, np.zeros(STATE), np.zeros(3))
+        self._believed = Belief(-np.inf, np.zeros(STATE_SIZE), np.zeros(3))
         # an outlier that the next pose may agree with
         self._pending: Belief | None = None
         # sums of the response, and the way over which they were made
@@ -158,7 +158,7 @@ class PoseTrack:
 
     @property
     def response(self) -> float:
-        """Share of the motion that the finger should have caused that was seen, lately.
+        """Fraction of the motion that the finger should have caused that was seen, lately.
 
         It is NaN before the model moved the object by RESPONSE_MEMORY.
         """
@@ -178,7 +178,7 @@ class PoseTrack:
             return
         self._times.append(float(time))
         self._tips.append(np.array(tip, dtype=np.float64))
-        while len(self._times) > 2 and self._times[1] < time - REMEMBERED:
+        while len(self._times) > 2 and self._times[1] < time - MEMORY_TIME:
             self._times.popleft()
             self._tips.popleft()
 
@@ -230,7 +230,7 @@ class PoseTrack:
         self._follow(model, state, belief.time, time)
         moved = _measure(self._unit * _subtract(state[X : THETA + 1], belief.pose))
         options = self.options
-        std = np.sqrt(belief.variance) + options.doubt * moved / self._unit
+        std = np.sqrt(belief.variance) + options.inflation * moved / self._unit
         drift = options.drift**2 * (time - belief.time) / self._unit**2
         return Belief(time, state, std**2 + drift)
 
@@ -250,8 +250,8 @@ class PoseTrack:
         """Adds a correction (3,) and the model's motion (3,), both m, to what happened lately."""
         fading = np.exp(-lasted / self.options.memory)
         most = self.options.most * self._arm
-        share = min(1.0, most / max(float(np.linalg.norm(correction)), most))
-        self.corrected = fading * self.corrected + share * correction
+        fraction = min(1.0, most / max(float(np.linalg.norm(correction)), most))
+        self.corrected = fading * self.corrected + fraction * correction
         self.moved = fading * self.moved + _measure(motion)
 
     def _note_response(self, motion: Array, seen: Array) -> None:
@@ -284,14 +284,14 @@ class PoseTrack:
         return np.array([*between, self._find_tip(end)])
 
     def predict(self, model: PushedModel) -> Array:
-        """The state (STATE,) now, which is when the finger's last place was told."""
+        """The state (STATE_SIZE,) now, which is when the finger's last place was told."""
         state = self._believed.state.copy()
         self._follow(model, state, self.seen_at, self._times[-1])
         return state
 
     def _begin(self, time: float, pose: Array) -> Belief:
         """Takes a pose (3,) as it is, of an object at rest."""
-        state = np.zeros(STATE)
+        state = np.zeros(STATE_SIZE)
         state[X : THETA + 1] = pose
         state[TIP_X : TIP_Y + 1] = self._find_tip(time)
         return Belief(time, state, self._noise)

@@ -2,35 +2,35 @@
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.plan_search import (
+from gridpush_drake.dynamics.kernels.steering.plan_search import (
     ANGLE,
     BEND,
-    CHANGE,
+    CHANGE_SIZE,
     LENGTH,
     PLACE,
+    PRIMITIVE_SIZE,
     ROUND,
-    STROKE,
     WALK,
 )
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.planning.feedback.follow_options import FollowOptions
-from gridpush_drake.planning.feedback.push_search import Candidates
+from gridpush_drake.planning.feedback.push_search import PushMoves
 from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
 
-LENGTHS = (0.4, 1.0)
-"""Least and greatest speed of a stroke, as a share of the finger's."""
+SPEED_RANGE = (0.4, 1.0)
+"""Least and greatest speed of a stroke, as a fraction of the finger's."""
 
-ANGLES = (-1.0, 1.0)
+PRIMITIVE_ANGLES = (-1.0, 1.0)
 """Least and greatest angle of a stroke from the inward normal, rad."""
 
 BEND_STD = 0.06
 """Standard deviation of a stroke's turn in a decision, rad."""
 
 AT_ONCE = 0.25
-"""Share of the strokes that push at once, from where the finger is."""
+"""Fraction of the strokes that push at once, from where the finger is."""
 
 FROM_NOW = 0.4
-"""Share of the strokes that replace the whole plan; the others keep some of its beginning."""
+"""Fraction of the strokes that replace the whole plan; the others keep some of its beginning."""
 
 CHANGE_SIZES = (0.0002, 0.015)
 """Least and greatest standard deviation of a change of places, m."""
@@ -38,15 +38,15 @@ CHANGE_SIZES = (0.0002, 0.015)
 
 def draw_candidates(
     rng: np.random.Generator, options: FollowOptions, finger: FeedbackFinger
-) -> Candidates:
+) -> PushMoves:
     """Draws as many candidates as the options say, for one decision."""
     period = options.period
     # strokes from all around, most of them after going there
     count = options.strokes
-    strokes = np.empty((count, STROKE))
+    strokes = np.empty((count, PRIMITIVE_SIZE))
     strokes[:, PLACE] = rng.uniform(0.0, 1.0, count)
-    strokes[:, ANGLE] = rng.uniform(*ANGLES, count)
-    strokes[:, LENGTH] = period * finger.speed * draw_log_uniform(rng, LENGTHS, count)
+    strokes[:, ANGLE] = rng.uniform(*PRIMITIVE_ANGLES, count)
+    strokes[:, LENGTH] = period * finger.speed * draw_log_uniform(rng, SPEED_RANGE, count)
     strokes[:, BEND] = rng.normal(0.0, BEND_STD, count)
     strokes[:, WALK] = period * finger.walking_speed
     strokes[:, ROUND] = rng.choice([-1.0, 1.0], count)
@@ -57,8 +57,8 @@ def draw_candidates(
     cuts = np.sqrt(rng.random(count))
     cuts[rng.random(count) < FROM_NOW] = 0.0
     # changes of all sizes: the largest find something new, the smallest make it exact
-    changes = rng.standard_normal((options.changes, CHANGE))
-    return Candidates(
+    changes = rng.standard_normal((options.changes, CHANGE_SIZE))
+    return PushMoves(
         strokes=strokes,
         cuts=cuts,
         changes=changes,

@@ -23,17 +23,17 @@ from copy import copy, deepcopy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.dynamics.kernels.finger_push import (
-    STATE,
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
+    STATE_SIZE,
     THETA,
     TIP_X,
     TIP_Y,
+    FreeSpace,
     PushedModel,
-    Room,
     X,
     follow_tip,
 )
-from gridpush_drake.dynamics.kernels.plan_search import Plan
+from gridpush_drake.dynamics.kernels.steering.plan_search import Plan
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import MAX_NUMBER, PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, transform, wrap_angle
@@ -49,22 +49,22 @@ from gridpush_drake.planning.feedback.follow_options import (
 )
 from gridpush_drake.planning.feedback.model_ensemble import ModelEnsemble
 from gridpush_drake.planning.feedback.plan_refinement import refine_plan
-from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
+from gridpush_drake.planning.feedback.pose_path import PathProgress, PosePath
 from gridpush_drake.planning.feedback.pose_track import PoseTrack, TrackOptions, is_plausible
 from gridpush_drake.planning.feedback.push_candidates import draw_candidates
-from gridpush_drake.planning.feedback.push_search import Wish, search_push
+from gridpush_drake.planning.feedback.push_search import TrackingCost, search_push
 from gridpush_drake.planning.feedback.pushed_object import (
     FeedbackFinger,
     covers_places,
     make_room,
 )
-from gridpush_drake.planning.feedback.ways import make_ways
+from gridpush_drake.planning.feedback.ways import make_outline_path
 from gridpush_drake.planning.push_constraints import PushConstraints
 
-HIT = 0.2
-"""A plan ends as soon as the object is within this share of the goal's tolerances."""
+GOAL_SHRINKAGE = 0.2
+"""A plan ends as soon as the object is within this fraction of the goal's tolerances."""
 
-SETTLE = 0.2
+SETTLING_TIME = 0.2
 """Time for which the object must be seen at the goal before it counts as reached, s."""
 
 LEAST_MOTION = 0.3
@@ -79,14 +79,14 @@ less than standing still; for the next plan it is 1 again."""
 LEAST_GAIN = 1e-3
 """Amount by which a plan to a goal must cost less than standing still, in decisions."""
 
-TOUCHED = 1e-4
+MIN_PUSHED_MOTION = 1e-4
 """Least motion of the object in a decision that shows that the finger pushes it, m."""
 
 MAX_PACES = 3.0
 """Greatest progress on a path between two decisions, in periods of decisions. If a decision comes
 late, the path waits."""
 
-PROGRESS = 0.002
+MIN_PROGRESS = 0.002
 """Least distance that counts as progress, towards the goal or along the path, m."""
 
 
@@ -153,14 +153,14 @@ class PushFollower:
         self._stopped: FollowStatus | None = None
         self._begun_goal = np.full(3, np.nan)
         self._middle = obj.p_BC.mean(axis=0)
-        self._ways = make_ways(obj.outline, finger.radius)
+        self._ways = make_outline_path(obj.outline, finger.radius)
         # decisions that it takes to go half round the object
         way = obj.outline.convex_hull.length + 2 * np.pi * finger.radius
         self._half_round = way / 2 / (finger.walking_speed * self.options.period)
         self._rng = np.random.default_rng(seed)
         self._physics = physics
-        self._way: ObjectWay | None = None
-        self._room: Room | None = None
+        self._way: PathProgress | None = None
+        self._room: FreeSpace | None = None
         self._begin_plan()
         self.set_model(params, draws)
         self.set_goal(goal)
@@ -199,7 +199,7 @@ class PushFollower:
     def set_goal(self, goal: ArrayLike | PosePath) -> None:
         """Goes on with another goal, or path; the goal may move on from decision to decision.
 
-        A goal that moves by less than PROGRESS is the same one: what was found of the way to it
+        A goal that moves by less than MIN_PROGRESS is the same one: what was found of the way to it
         holds.
 
         Args:
@@ -212,11 +212,11 @@ class PushFollower:
         self._pace = 0.0
         poses = np.empty((0, 3))
         if isinstance(goal, PosePath):
-            self._way = ObjectWay(self.obj, goal)
+            self._way = PathProgress(self.obj, goal)
             self.goal = goal.goal
             poses = goal.poses
             self._begin_plan()
-            self._begin_way()
+            self._begin_path()
         else:
             before = self._way
             self.goal = check_vector(PlanningError, "goal", _limit_numbers(goal), 3)
@@ -224,8 +224,8 @@ class PushFollower:
             # a plan to another goal may do for this one, too: the search will see
             if before is not None:
                 self._begin_plan()
-            if before is not None or not self._measure_to(self._begun_goal) < PROGRESS:
-                self._begin_way()
+            if before is not None or not self._measure_to(self._begun_goal) < MIN_PROGRESS:
+                self._begin_path()
         self._near_since = np.inf
         places = np.vstack([self.goal[None], poses])
         self._refused = None if is_plausible(places) else FollowStatus.GOAL_TOO_FAR
@@ -304,7 +304,7 @@ class PushFollower:
         # the pace of a path that decisions keep, whenever they come
         passed = min(time - self._decided_at, MAX_PACES * self.options.period)
         self._decided_at = time
-        status = self._find_doubt(time, tip)
+        status = self._find_pause(time, tip)
         if status is not None:
             return self._rest(status)
         state = self.track.predict(self.model)
@@ -317,11 +317,11 @@ class PushFollower:
         if lead > 0.0:
             way = lead * check_vector(PlanningError, "velocity", velocity, 2, "m/s")
             follow_tip(self.model, state, (state[TIP_X : TIP_Y + 1] + way)[None])
-        wish = self._make_wish(lead)
-        chosen = self._search(state, wish)
+        cost_terms = self._make_cost(lead)
+        chosen = self._search(state, cost_terms)
         return self._push(chosen, "" if chosen.any() else NO_PUSH_FOUND, pose)
 
-    def _find_doubt(self, time: float, tip: ArrayLike) -> FollowStatus | None:
+    def _find_pause(self, time: float, tip: ArrayLike) -> FollowStatus | None:
         """Why nothing can be decided now from what is known; None where it can.
 
         Args:
@@ -405,7 +405,7 @@ class PushFollower:
         # Whether it got on lately; a disturbance is not its fault.
         is_disturbed = self._disturbances != self._known_disturbances
         self._known_disturbances = self._disturbances
-        if is_disturbed or gained < self._best - PROGRESS or self._best_at == -np.inf:
+        if is_disturbed or gained < self._best - MIN_PROGRESS or self._best_at == -np.inf:
             self._best = gained
             self._best_at = time
         options = self.options
@@ -416,8 +416,8 @@ class PushFollower:
             near = distance < options.position_tolerance and turn < options.angle_tolerance
             self._near_since = min(self._near_since, time) if near else np.inf
             # it counts once it was seen to lie there, with the finger at rest
-            if self.track.seen_at > self._near_since + SETTLE:
-                self._begin_way()  # a later disturbance begins a new way to the goal
+            if self.track.seen_at > self._near_since + SETTLING_TIME:
+                self._begin_path()  # a later disturbance begins a new way to the goal
                 return FollowStatus.REACHED
         if time - self._best_at > options.stuck_after:
             return self._stop(FollowStatus.STUCK)
@@ -433,9 +433,9 @@ class PushFollower:
     @property
     def _is_on_path(self) -> bool:
         """Whether there is a path, and the object is not yet at its end."""
-        return self._way is not None and self.progress < self._way.length - PROGRESS
+        return self._way is not None and self.progress < self._way.length - MIN_PROGRESS
 
-    def _make_wish(self, lead: float) -> Wish:
+    def _make_cost(self, lead: float) -> TrackingCost:
         """Says what is wanted of the next decisions, the first of which is done after a time, s."""
         options = self.options
         # where the object should be after each decision
@@ -451,7 +451,7 @@ class PushFollower:
             references = np.tile(np.append(center, self.goal[2]), (count + 1, 1))
             along = np.zeros((count + 1, 2))
         arm = self.obj.radius_of_gyration
-        return Wish(
+        return TrackingCost(
             follows=follows,
             references=references,
             along=along,
@@ -465,14 +465,14 @@ class PushFollower:
             base=float(options.base * self._half_round),
             per_length=float(options.slowness / (self.finger.speed * options.period)),
             per_root=float(options.per_root / np.sqrt(arm)),
-            hit=HIT,
+            goal_fraction=GOAL_SHRINKAGE,
         )
 
     def _count_decisions(self, follows: bool) -> int:
         """Decisions of a plan, on a path or to a goal."""
         return self.options.path_horizon if follows else self.options.horizon
 
-    def _begin_way(self) -> None:
+    def _begin_path(self) -> None:
         """Begins a way to the goal: forgets how near the object came, and what went wrong."""
         self._begun_goal = self.goal
         self._best = np.inf
@@ -489,17 +489,17 @@ class PushFollower:
         self._follows = False
         self._plan = np.zeros((1, 2))
 
-    def _search(self, state: Array, wish: Wish) -> Array:
-        """Improves the plan from a state (STATE,) on; returns the velocity (2,) of its begin."""
+    def _search(self, state: Array, cost_terms: TrackingCost) -> Array:
+        """Improves the plan from a state (STATE_SIZE,) on; returns its first velocity (2,)."""
         options = self.options
-        count = self._count_decisions(wish.follows)
-        if self._follows != wish.follows or len(self._plan) != count:
+        count = self._count_decisions(cost_terms.follows)
+        if self._follows != cost_terms.follows or len(self._plan) != count:
             self._begin_plan()
             self._plan = np.zeros((count, 2))
-            self._follows = wish.follows
+            self._follows = cost_terms.follows
         assert self._room is not None
         tip = state[TIP_X : TIP_Y + 1].copy()
-        states = np.zeros((count + 1, STATE))
+        states = np.zeros((count + 1, STATE_SIZE))
         states[0] = state
         plan = Plan(targets=self._plan, states=states)
         if self._length == 0:
@@ -510,7 +510,7 @@ class PushFollower:
             candidates = draw_candidates(self._rng, options, self.finger)
             cost, self._length, to_go = search_push(
                 self.model,
-                wish._replace(per_decision=self._per_decision),
+                cost_terms._replace(per_decision=self._per_decision),
                 self._room,
                 self._ways,
                 plan,
@@ -518,18 +518,18 @@ class PushFollower:
                 candidates,
             )
             # better than to stand still for one decision
-            self._found = wish.follows or cost < self._per_decision + to_go - LEAST_GAIN
+            self._found = cost_terms.follows or cost < self._per_decision + to_go - LEAST_GAIN
             if self._found:
                 break
             self._length = 0
         if self._length == 0:
             return np.zeros(2)
-        if wish.follows:
+        if cost_terms.follows:
             for _ in range(options.refinements):
                 targets = self._plan[: self._length]
                 longest = candidates.longest
                 models = self._ensemble.models[: 1 + options.draws]
-                if not refine_plan(models, wish, self._room, state, targets, longest):
+                if not refine_plan(models, cost_terms, self._room, state, targets, longest):
                     break
         velocity = self._limit((self._plan[0] - tip) / options.period, state)
         self._plan[:-1] = self._plan[1:]
@@ -537,7 +537,7 @@ class PushFollower:
         return velocity
 
     def _limit(self, velocity: Array, state: Array) -> Array:
-        """Shortens a velocity (2,), m/s, to what the finger may have at a state (STATE,).
+        """Shortens a velocity (2,), m/s, to what the finger may have at a state (STATE_SIZE,).
 
         While it pushes it is slower than on its way round the object: until the next decision
         nobody corrects it, and poses come late.
@@ -546,7 +546,10 @@ class PushFollower:
         tip = state[TIP_X : TIP_Y + 1]
         follow_tip(self.model, after, (tip + self.options.period * velocity)[None])
         moved = after[X : THETA + 1] - state[X : THETA + 1]
-        pushes = np.hypot(np.hypot(*moved[:2]), self.obj.radius_of_gyration * moved[2]) > TOUCHED
+        pushes = (
+            np.hypot(np.hypot(*moved[:2]), self.obj.radius_of_gyration * moved[2])
+            > MIN_PUSHED_MOTION
+        )
         most = self.finger.speed if pushes else self.finger.walking_speed
         speed = float(np.linalg.norm(velocity))
         return np.asarray(velocity * min(1.0, most / max(speed, most)))

@@ -7,7 +7,7 @@ replacing its end with a *stroke* (go round the object to a place of its outline
 or by shifting some of its places a little. Candidates whose object or finger comes too near to
 something cost infinitely much. A stroke's LENGTH and WALK are how far the finger goes in a decision
 while it pushes and on its way round, m. What any search for plans shares is in
-`dynamics.kernels.plan_search`.
+`dynamics.kernels.steering.plan_search`.
 
 What a plan costs is in `docs/theory/feedback.md`, section 7; `push_follower` chooses the
 candidates.
@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.finger_push import (
-    STATE,
-    STILL,
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
+    STATE_SIZE,
+    STILL_FINGER_DISTANCE,
     THETA,
     TIP_X,
     TIP_Y,
@@ -31,12 +31,12 @@ from gridpush_drake.dynamics.kernels.finger_push import (
     make_bench,
     measure_room,
 )
-from gridpush_drake.dynamics.kernels.plan_search import (
+from gridpush_drake.dynamics.kernels.steering.plan_search import (
     BEND,
     LENGTH,
     WALK,
     Plan,
-    aim_stroke,
+    aim_primitive,
     begin_window,
     find_cut,
     keep_plan,
@@ -45,11 +45,11 @@ from gridpush_drake.dynamics.kernels.plan_search import (
     walk_to_aim,
 )
 
-PATIENCE = 6
+MAX_STALL_STEPS = 6
 """Decisions that a stroke to a goal goes on for without getting better, once it pushes."""
 
 
-class Wish(NamedTuple):
+class TrackingCost(NamedTuple):
     """What the object should do, and what a plan costs.
 
     Attributes:
@@ -67,7 +67,7 @@ class Wish(NamedTuple):
         base: cost-to-go of a pose next to the goal, but not at it.
         per_length: cost-to-go for a distance from the goal, 1/m.
         per_root: cost-to-go for the square root of the distance from the goal.
-        hit: share of the tolerances within which a plan ends.
+        goal_fraction: fraction of the tolerances within which a plan ends.
     """
 
     follows: Any
@@ -83,15 +83,15 @@ class Wish(NamedTuple):
     base: Any
     per_length: Any
     per_root: Any
-    hit: Any
+    goal_fraction: Any
 
 
-class Candidates(NamedTuple):
+class PushMoves(NamedTuple):
     """What the search tries.
 
     Attributes:
         strokes: (N, STROKE) strokes.
-        cuts: (N,) share of the plan, 0 to 1, that is kept before each of them.
+        cuts: (N,) fraction of the plan, 0 to 1, that is kept before each of them.
         changes: (K, CHANGE) shifts of places.
         scales: (K,) their sizes, m.
         longest: farthest that the finger may go in a decision, m.
@@ -105,59 +105,69 @@ class Candidates(NamedTuple):
 
 
 @kernel(allocates=False)
-def _calc_off(wish, state, k):
+def _calc_off(cost_terms, state, k):
     """How far the object is from the reference after k decisions: (dx, dy), m, and the turn."""
     c = cos(state[THETA])
     s = sin(state[THETA])
-    dx = state[X] + c * wish.middle[0] - s * wish.middle[1] - wish.references[k, 0]
-    dy = state[Y] + s * wish.middle[0] + c * wish.middle[1] - wish.references[k, 1]
-    turn = state[THETA] - wish.references[k, 2]
+    dx = (
+        state[X] + c * cost_terms.middle[0] - s * cost_terms.middle[1] - cost_terms.references[k, 0]
+    )
+    dy = (
+        state[Y] + s * cost_terms.middle[0] + c * cost_terms.middle[1] - cost_terms.references[k, 1]
+    )
+    turn = state[THETA] - cost_terms.references[k, 2]
     turn -= 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
     return dx, dy, turn
 
 
 @kernel(allocates=False)
-def rate_goal(wish, state):
+def rate_goal(cost_terms, state):
     """Cost-to-go of a state on the way to a goal, and whether the goal is reached."""
-    dx, dy, turn = _calc_off(wish, state, 0)
+    dx, dy, turn = _calc_off(cost_terms, state, 0)
     position2 = dx * dx + dy * dy
     # how far off in tolerances, and with it the chance that the goal will not have been reached
-    off2 = position2 / (wish.position_tolerance * wish.position_tolerance)
-    off2 += turn * turn / (wish.angle_tolerance * wish.angle_tolerance)
+    off2 = position2 / (cost_terms.position_tolerance * cost_terms.position_tolerance)
+    off2 += turn * turn / (cost_terms.angle_tolerance * cost_terms.angle_tolerance)
     missed = off2 / (1.0 + off2)
-    distance = sqrt(position2 + 2.0 * wish.arm * wish.arm * (1.0 - cos(turn)))
-    to_go = wish.base + wish.per_length * distance + wish.per_root * sqrt(distance)
-    return missed * to_go, off2 < wish.hit * wish.hit
+    distance = sqrt(position2 + 2.0 * cost_terms.arm * cost_terms.arm * (1.0 - cos(turn)))
+    to_go = (
+        cost_terms.base + cost_terms.per_length * distance + cost_terms.per_root * sqrt(distance)
+    )
+    return missed * to_go, off2 < cost_terms.goal_fraction * cost_terms.goal_fraction
 
 
 @kernel(allocates=False)
-def rate_path(wish, state, k):
+def rate_path(cost_terms, state, k):
     """Squared distance, m², from the reference after k decisions."""
-    dx, dy, turn = _calc_off(wish, state, k)
-    ahead = dx * wish.along[k, 0] + dy * wish.along[k, 1]
-    beside = dy * wish.along[k, 0] - dx * wish.along[k, 1]
-    turned = wish.arm * turn
-    return beside * beside + wish.weight_along * ahead * ahead + wish.weight_turn * turned * turned
+    dx, dy, turn = _calc_off(cost_terms, state, k)
+    ahead = dx * cost_terms.along[k, 0] + dy * cost_terms.along[k, 1]
+    beside = dy * cost_terms.along[k, 0] - dx * cost_terms.along[k, 1]
+    turned = cost_terms.arm * turn
+    return (
+        beside * beside
+        + cost_terms.weight_along * ahead * ahead
+        + cost_terms.weight_turn * turned * turned
+    )
 
 
 @kernel()
-def _step_candidate(model, wish, room, bench, k, least):
+def _step_candidate(model, cost_terms, room, bench, k, least):
     """Makes the k-th decision of the candidate; `least` (2,) is the room that it must keep.
 
     Returns:
         What it costs, or would cost if it ended then; and whether it is over.
     """
-    for i in range(STATE):
+    for i in range(STATE_SIZE):
         bench.states[k + 1, i] = bench.states[k, i]
     state = bench.states[k + 1]
     advance_push(model, bench, state, bench.targets[k, 0], bench.targets[k, 1])
     object_room, finger_room = measure_room(room, state)
     if object_room < least[0] or finger_room < least[1]:
         return np.inf, True
-    if wish.follows:
-        return rate_path(wish, state, k + 1), False
-    to_go, over = rate_goal(wish, state)
-    return wish.per_decision * (k + 1) + to_go, over
+    if cost_terms.follows:
+        return rate_path(cost_terms, state, k + 1), False
+    to_go, over = rate_goal(cost_terms, state)
+    return cost_terms.per_decision * (k + 1) + to_go, over
 
 
 @kernel(allocates=False)
@@ -174,7 +184,7 @@ def _limit(bench, k, longest):
 
 
 @kernel()
-def _roll_plan(model, wish, room, bench, first, length, least, longest, before):
+def _roll_plan(model, cost_terms, room, bench, first, length, least, longest, before):
     """Follows the candidate's places from `first` on, where what was before cost `before`.
 
     Returns its least cost and the number of decisions with which it is reached; of a path the cost
@@ -185,8 +195,8 @@ def _roll_plan(model, wish, room, bench, first, length, least, longest, before):
     total = before
     for k in range(first, length):
         _limit(bench, k, longest)
-        cost, over = _step_candidate(model, wish, room, bench, k, least)
-        if wish.follows:
+        cost, over = _step_candidate(model, cost_terms, room, bench, k, least)
+        if cost_terms.follows:
             total += cost
             end = k + 1
             if not total < np.inf:
@@ -196,18 +206,18 @@ def _roll_plan(model, wish, room, bench, first, length, least, longest, before):
             end = k + 1
         if over:
             break
-    if wish.follows:
+    if cost_terms.follows:
         best = total
     return best, end
 
 
 @kernel()
-def _roll_stroke(model, wish, room, ways, bench, first, limit, stroke, least, before):
+def _roll_primitive(model, cost_terms, room, ways, bench, first, limit, primitive, least, before):
     """Makes a stroke from `first` on, and fills its places; returns as `_roll_plan`."""
     best = np.inf
     end = first
     total = before
-    aim = aim_stroke(ways, stroke)
+    aim = aim_primitive(ways, primitive)
     pushing = aim.pushing
     heading = aim.heading
     pushed = 0
@@ -217,24 +227,24 @@ def _roll_stroke(model, wish, room, ways, bench, first, limit, stroke, least, be
         tip_y = state[TIP_Y]
         if not pushing:
             pushing = walk_to_aim(
-                ways, stroke, aim, state[X], state[Y], state[THETA], tip_x, tip_y, bench.at
+                ways, primitive, aim, state[X], state[Y], state[THETA], tip_x, tip_y, bench.at
             )
         if not pushing:
             # on the way round, no farther than the finger goes in a decision
             dx = bench.at[0] - tip_x
             dy = bench.at[1] - tip_y
-            share = min(1.0, stroke[WALK] / max(hypot(dx, dy), STILL))
-            bench.targets[k, 0] = tip_x + share * dx
-            bench.targets[k, 1] = tip_y + share * dy
+            fraction = min(1.0, primitive[WALK] / max(hypot(dx, dy), STILL_FINGER_DISTANCE))
+            bench.targets[k, 0] = tip_x + fraction * dx
+            bench.targets[k, 1] = tip_y + fraction * dy
         else:
             # the direction is held in the body frame, which turns
             angle = state[THETA] + heading
-            bench.targets[k, 0] = tip_x + stroke[LENGTH] * cos(angle)
-            bench.targets[k, 1] = tip_y + stroke[LENGTH] * sin(angle)
-            heading += stroke[BEND]
+            bench.targets[k, 0] = tip_x + primitive[LENGTH] * cos(angle)
+            bench.targets[k, 1] = tip_y + primitive[LENGTH] * sin(angle)
+            heading += primitive[BEND]
             pushed += 1
-        cost, over = _step_candidate(model, wish, room, bench, k, least)
-        if wish.follows:
+        cost, over = _step_candidate(model, cost_terms, room, bench, k, least)
+        if cost_terms.follows:
             total += cost
             end = k + 1
             if not total < np.inf:
@@ -242,30 +252,32 @@ def _roll_stroke(model, wish, room, ways, bench, first, limit, stroke, least, be
         elif cost < best:
             best = cost
             end = k + 1
-        if over or (not wish.follows and pushed >= PATIENCE and k + 1 - end > PATIENCE):
+        if over or (
+            not cost_terms.follows and pushed >= MAX_STALL_STEPS and k + 1 - end > MAX_STALL_STEPS
+        ):
             break
-    if wish.follows:
+    if cost_terms.follows:
         best = total
     return best, end
 
 
 @kernel(allocates=False)
-def _cost_before(wish, plan, first):
+def _cost_before(cost_terms, plan, first):
     """What the first decisions of the plan cost, on a path."""
     total = 0.0
-    if wish.follows:
+    if cost_terms.follows:
         for k in range(first):
-            total += rate_path(wish, plan.states[k + 1], k + 1)
+            total += rate_path(cost_terms, plan.states[k + 1], k + 1)
     return total
 
 
 @kernel()
-def search_push(model, wish, room, ways, plan, length, candidates):
+def search_push(model, cost_terms, room, ways, plan, length, candidates):
     """Improves a plan, first by strokes that replace its end, then by small changes.
 
     Args:
         model: the object, as it is learned.
-        wish: what the object should do.
+        cost_terms: what the object should do.
         room: where object and finger may be.
         ways: where the object can be touched.
         plan: the plan, changed in place. Of its states the first is given; the others are filled.
@@ -276,37 +288,37 @@ def search_push(model, wish, room, ways, plan, length, candidates):
         The cost of the plan, its decisions, and the cost-to-go of the first state; on a path 0.
     """
     to_go = 0.0
-    if not wish.follows:
-        to_go, _ = rate_goal(wish, plan.states[0])
+    if not cost_terms.follows:
+        to_go, _ = rate_goal(cost_terms, plan.states[0])
     limit = plan.targets.shape[0]
     bench = make_bench(limit)
     # What is too near already may not come nearer still.
     least = np.zeros(2)
     least[0], least[1] = measure_room(room, plan.states[0])
     for i in range(2):
-        least[i] = min(least[i] - STILL, 0.0)
+        least[i] = min(least[i] - STILL_FINGER_DISTANCE, 0.0)
     longest = candidates.longest
     best = np.inf
     # The plan of the decision before, from where the object really is.
     if length > 0:
         take_plan(bench, plan, 0, length)
-        if wish.follows:
+        if cost_terms.follows:
             for k in range(length, limit):
                 for j in range(2):
                     step = bench.targets[length - 1, j] - bench.targets[max(length - 2, 0), j]
                     bench.targets[k, j] = bench.targets[length - 1, j] + step * (k + 1 - length)
             length = limit
-        best, end = _roll_plan(model, wish, room, bench, 0, length, least, longest, 0.0)
+        best, end = _roll_plan(model, cost_terms, room, bench, 0, length, least, longest, 0.0)
         keep_plan(bench, plan, 0, end)
         length = end
     # Strokes, after some of the plan or at once.
     for n in range(candidates.strokes.shape[0]):
         first = find_cut(candidates.cuts[n], length, limit)
         take_plan(bench, plan, first, first)
-        stroke = candidates.strokes[n]
-        before = _cost_before(wish, plan, first)
-        cost, end = _roll_stroke(
-            model, wish, room, ways, bench, first, limit, stroke, least, before
+        primitive = candidates.strokes[n]
+        before = _cost_before(cost_terms, plan, first)
+        cost, end = _roll_primitive(
+            model, cost_terms, room, ways, bench, first, limit, primitive, least, before
         )
         if cost < best:
             best = cost
@@ -317,7 +329,7 @@ def search_push(model, wish, room, ways, plan, length, candidates):
         if length == 0:
             break
         cost, end, first = _roll_change(
-            model, wish, room, bench, plan, length, candidates, n, least
+            model, cost_terms, room, bench, plan, length, candidates, n, least
         )
         if cost < best:
             best = cost
@@ -327,7 +339,7 @@ def search_push(model, wish, room, ways, plan, length, candidates):
 
 
 @kernel()
-def _roll_change(model, wish, room, bench, plan, length, candidates, n, least):
+def _roll_change(model, cost_terms, room, bench, plan, length, candidates, n, least):
     """Shifts places within a window of the plan, and follows it from there.
 
     Every other candidate for a goal is one decision longer than the plan, and goes on as it ended.
@@ -336,7 +348,7 @@ def _roll_change(model, wish, room, bench, plan, length, candidates, n, least):
         As `_roll_plan`, and the first decision that was changed.
     """
     first = begin_window(n, length)
-    stop = length if wish.follows else min(length + n % 2, plan.targets.shape[0])
+    stop = length if cost_terms.follows else min(length + n % 2, plan.targets.shape[0])
     take_plan(bench, plan, first, length)
     for k in range(length, stop):
         for j in range(2):
@@ -344,21 +356,23 @@ def _roll_change(model, wish, room, bench, plan, length, candidates, n, least):
             if length > 1:
                 bench.targets[k, j] += plan.targets[length - 1, j] - plan.targets[length - 2, j]
     shift_places(bench.targets, candidates.changes[n], candidates.scales[n], first, stop)
-    before = _cost_before(wish, plan, first)
-    cost, end = _roll_plan(model, wish, room, bench, first, stop, least, candidates.longest, before)
+    before = _cost_before(cost_terms, plan, first)
+    cost, end = _roll_plan(
+        model, cost_terms, room, bench, first, stop, least, candidates.longest, before
+    )
     return cost, end, first
 
 
 @kernel()
-def roll_plans(model, wish, room, start, targets, longest, states, costs):
+def roll_plans(model, cost_terms, room, start, targets, longest, states, costs):
     """Follows P plans from one state.
 
     Args:
         model, wish, room: as of `search_push`.
-        start: (STATE,) state.
+        start: (STATE_SIZE,) state.
         targets: (P, T, 2) places of the finger, changed where they are too far apart.
         longest: farthest that the finger may go in a decision, m.
-        states: (P, T + 1, STATE) filled.
+        states: (P, T + 1, STATE_SIZE) filled.
         costs: (P,) filled: of a path, of all decisions; of a goal, the least.
     """
     limit = targets.shape[1]
@@ -366,16 +380,16 @@ def roll_plans(model, wish, room, start, targets, longest, states, costs):
     least = np.zeros(2)
     least[0], least[1] = measure_room(room, start)
     for i in range(2):
-        least[i] = min(least[i] - STILL, 0.0)
+        least[i] = min(least[i] - STILL_FINGER_DISTANCE, 0.0)
     for p in range(targets.shape[0]):
         plan = Plan(targets=targets[p], states=states[p])
-        for i in range(STATE):
+        for i in range(STATE_SIZE):
             plan.states[0, i] = start[i]
         take_plan(bench, plan, 0, limit)
-        costs[p], end = _roll_plan(model, wish, room, bench, 0, limit, least, longest, 0.0)
+        costs[p], end = _roll_plan(model, cost_terms, room, bench, 0, limit, least, longest, 0.0)
         keep_plan(bench, plan, 0, end)
         for k in range(end, limit):
-            for i in range(STATE):
+            for i in range(STATE_SIZE):
                 plan.states[k + 1, i] = plan.states[end, i]
 
 
@@ -386,7 +400,7 @@ def check_moves(room, pose, moves, tips, margin, allowed):
     A move is allowed if the object may be at all of its poses, with a margin, m, and the finger at
     its begin (M, 2).
     """
-    state = np.zeros(STATE)
+    state = np.zeros(STATE_SIZE)
     c = cos(pose[2])
     s = sin(pose[2])
     for m in range(moves.shape[0]):

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from gridpush_drake.dynamics.kernel_call import prepare_rollout
-from gridpush_drake.dynamics.kernels.finger_push import PushedModel, Room
+from gridpush_drake.dynamics.kernels.steering.finger_push import FreeSpace, PushedModel
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
@@ -19,7 +19,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.push_constraints import PushConstraints, make_body
 
-STEP = 0.0025
+ROLLOUT_STEP = 0.0025
 """Length of the finger's path in a step of a rollout, m."""
 
 FIELD_SPACING = 0.005
@@ -104,13 +104,13 @@ def make_model(
         scheme=scheme,
         reach=float(np.linalg.norm(corners, axis=1).max()),
         radius=float(radius),
-        step=STEP,
+        step=ROLLOUT_STEP,
     )
 
 
 def make_room(
     obj: GridObject, constraints: PushConstraints, finger: FeedbackFinger, places: Array
-) -> Room:
+) -> FreeSpace:
     """Makes the fields of where object and finger may be.
 
     Args:
@@ -131,7 +131,7 @@ def make_room(
     shapes = [*areas, *constraints.obstacles]
     if not shapes:
         nothing = np.zeros((2, 2))
-        return Room(
+        return FreeSpace(
             bounded=False,
             low=np.zeros(2),
             spacing=1.0,
@@ -165,7 +165,7 @@ def make_room(
         away -= constraints.obstacle_margin
         object_field = np.minimum(object_field, away)
         finger_field = np.minimum(finger_field, away - finger.radius)
-    return Room(
+    return FreeSpace(
         bounded=True,
         low=low,
         spacing=spacing,
@@ -175,7 +175,7 @@ def make_room(
     )
 
 
-def covers_places(room: Room, places: Array) -> bool:
+def covers_places(room: FreeSpace, places: Array) -> bool:
     """Whether the fields reach as far about places (K, 2), m, as they should."""
     if not room.bounded:
         return True

@@ -1,4 +1,4 @@
-"""Where a disc can touch an outline, and how it gets round it: `make_ways`.
+"""Where a disc can touch an outline, and how it gets round it: `make_outline_path`.
 
 The disc is the pusher. To begin a stroke it goes round the block on a ring of points about the
 block's convex hull, and comes in where it is to touch. `kernels.walk_round` goes by what is made
@@ -8,9 +8,9 @@ here.
 import numpy as np
 from shapely import Polygon
 
-from gridpush_drake.dynamics.kernels.walk_round import Ways
+from gridpush_drake.dynamics.kernels.contact.walk_round import OutlinePath
 
-TOUCHES = 96
+TOUCH_COUNT = 96
 """Number of places round the block where a stroke may touch it."""
 
 LEAST_RING = 32
@@ -19,25 +19,26 @@ LEAST_RING = 32
 RING_SPACING = 1.5
 """Greatest distance of two neighbors on the ring, in radii of the disc. The disc must be able to go
 straight from each to the next. If two points beside a corner of the hull are farther apart than 1.8
-radii, the line between them is nearer to the corner than CLEARANCE, and the disc gets stuck."""
+radii, the line between them is nearer to the corner than DISC_CLEARANCE, and the disc gets
+stuck."""
 
-STANDOFF = 0.4
+PRIMITIVE_STANDOFF = 0.4
 """Distance from the touch at which a stroke begins, in radii of the disc."""
 
-CLEARANCE = 1.04
+DISC_CLEARANCE = 1.04
 """Least distance of the disc's center from the outline on its way round, in radii of the disc."""
 
 RING_DISTANCE = 1.4
 """Distance of the ring from the convex hull, in radii of the disc."""
 
-ARRIVAL = 0.53
+ARRIVAL_DISTANCE = 0.53
 """The disc has arrived at the beginning of a stroke if it is nearer than this, in its radii."""
 
 ARC_SEGMENTS = 16
 """Number of segments of a quarter circle in an outline that is widened by the disc's radius."""
 
 
-def make_ways(outline: Polygon, radius: float) -> Ways:
+def make_outline_path(outline: Polygon, radius: float) -> OutlinePath:
     """Makes the ways of a disc round an outline, for the kernels.
 
     Args:
@@ -46,7 +47,7 @@ def make_ways(outline: Polygon, radius: float) -> Ways:
     """
     rim = outline.exterior
     widened = outline.buffer(radius, quad_segs=ARC_SEGMENTS).exterior
-    places = [widened.interpolate(i / TOUCHES, normalized=True) for i in range(TOUCHES)]
+    places = [widened.interpolate(i / TOUCH_COUNT, normalized=True) for i in range(TOUCH_COUNT)]
     touch = np.array([place.coords[0] for place in places])
     nearest = np.array([rim.interpolate(rim.project(place)).coords[0] for place in places])
     inward = nearest - touch
@@ -58,12 +59,12 @@ def make_ways(outline: Polygon, radius: float) -> Ways:
         [around.interpolate(i / count, normalized=True).coords[0] for i in range(count)]
     )
     corners = np.array(rim.coords)
-    return Ways(
+    return OutlinePath(
         touch=touch,
         inward=np.arctan2(inward[:, 1], inward[:, 0]),
         ring=ring,
         edges=np.column_stack([corners[:-1], corners[1:]]),
-        standoff=STANDOFF * radius,
-        clearance=CLEARANCE * radius,
-        arrival=ARRIVAL * radius,
+        standoff=PRIMITIVE_STANDOFF * radius,
+        clearance=DISC_CLEARANCE * radius,
+        arrival=ARRIVAL_DISTANCE * radius,
     )

@@ -28,17 +28,17 @@ more positions than `MAX_POSITIONS`."""
 MAX_POSITIONS = 2500
 """Greatest number of positions of the lattice."""
 
-TURNS = 24
+TURN_COUNT = 24
 """Number of angles of the lattice, in a whole turn."""
 
-ROOM = 0.25
+SEARCH_MARGIN = 0.25
 """Where there is no table, paths are searched for as far as this about start, goal and obstacles,
 m."""
 
 LINE_STEP = 0.01
 """Greatest way of a cell between two poses that are checked along a straight path, m."""
 
-NEIGHBORS = np.array(
+NEIGHBOR_STEPS = np.array(
     [
         (1, 0, 0),
         (0, 1, 0),
@@ -97,7 +97,7 @@ class CostToGo:
             return calc_goal_error(self.obj, poses, self.goal)
         center = transform(poses, self._centroid[None])[:, 0]
         place = np.rint((center - self._low) / self._step).astype(int)
-        turn = np.rint(poses[:, 2] * TURNS / (2 * np.pi)).astype(int) % TURNS
+        turn = np.rint(poses[:, 2] * TURN_COUNT / (2 * np.pi)).astype(int) % TURN_COUNT
         inside = ((place >= 0) & (place < self._counts[:2])).all(axis=1)
         place = np.clip(place, 0, self._counts[:2] - 1)
         nodes = np.ravel_multi_index((place[:, 0], place[:, 1], turn), tuple(self._counts))
@@ -132,9 +132,9 @@ class CostToGo:
         radius = float(np.linalg.norm(self.obj.p_BC - self._centroid, axis=1).max())
         way = float(np.abs(self.obj.cells_at(a) - self.obj.cells_at(b)).max())
         length = way + abs(turn) * radius
-        share = np.linspace(0.0, 1.0, 2 + int(length / LINE_STEP))[:, None]
-        center = (1 - share) * self._center(a) + share * self._center(b)
-        poses = self._from_center(center, a[2] + share[:, 0] * turn)
+        fraction = np.linspace(0.0, 1.0, 2 + int(length / LINE_STEP))[:, None]
+        center = (1 - fraction) * self._center(a) + fraction * self._center(b)
+        poses = self._from_center(center, a[2] + fraction[:, 0] * turn)
         return bool(self.checker.allows_geometry(poses).all())
 
     def _center(self, pose: Array) -> Array:
@@ -148,16 +148,16 @@ class CostToGo:
     def _make_lattice(self, start: Array) -> None:
         """Makes the lattice's poses, and finds out which of them the rules allow."""
         ends = np.array([self._center(start), self._center(self.goal)])
-        low, high = self.checker.bounds(ends, ROOM)
+        low, high = self.checker.bounds(ends, SEARCH_MARGIN)
         step = max(LATTICE_STEP, float(np.sqrt(np.prod(high - low) / MAX_POSITIONS)))
-        counts = np.append(np.ceil((high - low) / step).astype(int) + 1, TURNS)
+        counts = np.append(np.ceil((high - low) / step).astype(int) + 1, TURN_COUNT)
         axes = [np.arange(count) for count in counts]
         self._index = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         self._low = low
         self._step = step
         self._counts = counts
         self._poses = self._from_center(
-            low + step * self._index[:, :2], 2 * np.pi / TURNS * self._index[:, 2]
+            low + step * self._index[:, :2], 2 * np.pi / TURN_COUNT * self._index[:, 2]
         )
         self._free = self.checker.allows_geometry(self._poses)
 
@@ -171,14 +171,14 @@ class CostToGo:
         columns = []
         weights = []
         # Edges between neighbors that are both allowed.
-        for hop in NEIGHBORS:
+        for hop in NEIGHBOR_STEPS:
             other = index + hop
             inside = ((other[:, :2] >= 0) & (other[:, :2] < counts[:2])).all(axis=1)
             a = np.flatnonzero(inside)
-            b = nodes[other[a, 0], other[a, 1], other[a, 2] % TURNS]
+            b = nodes[other[a, 0], other[a, 1], other[a, 2] % TURN_COUNT]
             free = self._free[a] & self._free[b]
             shift = self._step * np.hypot(hop[0], hop[1])
-            turn = rho * 2 * np.pi / TURNS * hop[2]
+            turn = rho * 2 * np.pi / TURN_COUNT * hop[2]
             rows.append(a[free])
             columns.append(b[free])
             weights.append(np.full(int(free.sum()), float(np.hypot(shift, turn))))
@@ -201,12 +201,14 @@ class CostToGo:
 
     def _near(self, pose: Array) -> list[int]:
         """Finds the allowed lattice poses about a pose (3,): two on either side in x, y, angle."""
-        at = np.append((self._center(pose) - self._low) / self._step, pose[2] * TURNS / (2 * np.pi))
+        at = np.append(
+            (self._center(pose) - self._low) / self._step, pose[2] * TURN_COUNT / (2 * np.pi)
+        )
         nodes = []
         for offset in np.ndindex(4, 4, 4):
             i, j, k = np.floor(at).astype(int) + np.array(offset) - 1
             if 0 <= i < self._counts[0] and 0 <= j < self._counts[1]:
-                node = int(np.ravel_multi_index((i, j, k % TURNS), tuple(self._counts)))
+                node = int(np.ravel_multi_index((i, j, k % TURN_COUNT), tuple(self._counts)))
                 if self._free[node]:
                     nodes.append(node)
         return nodes

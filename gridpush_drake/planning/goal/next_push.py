@@ -64,7 +64,7 @@ DEFAULT_TOLERANCE = 0.02
 DEFAULT_MAX_PUSHES = 25
 """Number of pushes after which a goal is given up."""
 
-BEAM = 3
+BEAM_WIDTH = 3
 """Number of first pushes towards the goal, the best ones, for which a second is searched for."""
 
 SECOND_STARTS = 5
@@ -87,7 +87,7 @@ class RobustnessOptions:
 
     Attributes:
         samples: number of samples from the posterior that a push is tried with.
-        confidence: share of the samples that must allow a push; all of them where they are few.
+        confidence: fraction of the samples that must allow a push; all of them where they are few.
         weighed: number of pushes, the best ones by the model, of which samples from the posterior
             choose.
         tilts: a above: how uneven an object may be of which nothing is known.
@@ -405,7 +405,7 @@ class _PushSearch:
         found = []
         for subgoal in self.subgoals:
             plan = self._search(self.pose, subgoal, self.rules.contact, method)
-            found += self._take(plan.candidates, BEAM if self.rules.horizon > 1 else 1)
+            found += self._take(plan.candidates, BEAM_WIDTH if self.rules.horizon > 1 else 1)
         return sorted(found, key=_Option.rank)
 
     def find_second(self, first: list[_Option]) -> list[_Option]:
@@ -413,7 +413,7 @@ class _PushSearch:
 
         First pushes are the best of `first`, and others towards waypoints.
         """
-        beam = first[:BEAM]
+        beam = first[:BEAM_WIDTH]
         waypoints = []
         if self.subgoals:
             waypoints = make_waypoints(self.model.obj, self.pose, self.subgoals[0])

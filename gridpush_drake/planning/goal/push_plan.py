@@ -18,25 +18,19 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.model import Model
-from gridpush_drake.notebook import (
-    MM,
-    count,
-    describe_pose,
-    draw_paths,
-    make_page,
-    make_table,
-)
+from gridpush_drake.notebook import count, describe_pose, draw_paths, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import find_supported
+from gridpush_drake.units import MM_PER_M
 from gridpush_drake.yaml_file import dump_yaml
 
 
 class PushPlanStatus(StrEnum):
-    """How a sequence of pushes ends; `REASONS` says what each status means."""
+    """How a sequence of pushes ends; `STATUS_SENTENCES` says what each status means."""
 
     REACHED = "reached"
     GOAL_OFF_TABLE = "goal_off_table"
@@ -49,7 +43,7 @@ class PushPlanStatus(StrEnum):
     TOO_MANY_PUSHES = "too_many_pushes"
 
 
-REASONS = {
+STATUS_SENTENCES = {
     PushPlanStatus.REACHED: "The object is at the goal, within the tolerance.",
     PushPlanStatus.GOAL_OFF_TABLE: (
         "At the goal pose the object hangs over the table's edge further than it may."
@@ -80,7 +74,7 @@ class PushPlan:
         start: (3,) pose at the beginning, X_WB, m and rad.
         goal: (3,) pose to get to, X_WB, m and rad.
         pushes: in order; as far as they get, where the goal is not reached.
-        status: "reached", or why not: see `REASONS`.
+        status: "reached", or why not: see `STATUS_SENTENCES`.
         reason: the status in a sentence.
         error: predicted mean cell error at the end, m.
         errors: (pushes,) predicted mean cell error after each push, m. It may grow in a push that
@@ -102,13 +96,18 @@ class PushPlan:
     def __repr__(self) -> str:
         """Status, pushes and what is left, in two lines."""
         pushes = count(len(self.pushes), "push")
-        left = f"{self.error * MM:.1f} mm from the goal at the end"
+        left = f"{self.error * MM_PER_M:.1f} mm from the goal at the end"
         return f"PushPlan, {self.status}: {pushes}, {left}\n{self.reason}"
 
     def _repr_html_(self) -> str:
         """A table with a row for each push, and a drawing of the predicted path."""
         rows = [
-            (number, f"{each.distance * MM:.0f}", describe_pose(each.pose), f"{error * MM:.1f}")
+            (
+                number,
+                f"{each.distance * MM_PER_M:.0f}",
+                describe_pose(each.pose),
+                f"{error * MM_PER_M:.1f}",
+            )
             for number, (each, error) in enumerate(
                 zip(self.pushes, self.errors, strict=True), start=1
             )
@@ -177,7 +176,7 @@ def plan_pushes(
         goal=aim,
         pushes=tuple(pushes),
         status=status,
-        reason=REASONS[status],
+        reason=STATUS_SENTENCES[status],
         error=float(errors[-1]),
         errors=errors[1:],
         simulations=simulations,
@@ -238,7 +237,7 @@ def check_ends(
 FORMAT_VERSION = 1
 """Version of the format of plan files."""
 
-HEADER = """\
+PLAN_HEADER = """\
 # Pushes that bring an object to a goal pose, planned by gridpush.
 # SI units, radians, world frame; `start` is the place of the pusher's center, `pose` the object's
 # predicted pose after the push (x, y, theta), `error` the mean distance of the object's cells from
@@ -302,4 +301,4 @@ def write_plan(
     """
     document = describe_plan(plan, name, radius)
     text = dump_yaml(document, default_flow_style=None, width=LINE_WIDTH)
-    write_whole(path, HEADER + text, force)
+    write_whole(path, PLAN_HEADER + text, force)

@@ -16,7 +16,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.closed_loop import FAILED, LOST, LoopOptions
+from gridpush_drake.planning.closed_loop import FAILED_MODE, LOST_MODE, LoopOptions
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal_loop import (
@@ -30,7 +30,7 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 
 @dataclass(frozen=True, eq=False)
-class PushStep:
+class PushRound:
     """One round: what was planned, what happened, and whether it was learned from.
 
     Attributes:
@@ -66,7 +66,7 @@ class PushRun:
     """
 
     goal: Array
-    steps: tuple[PushStep, ...]
+    steps: tuple[PushRound, ...]
     status: str
     reason: str
     error: float
@@ -95,7 +95,7 @@ def push_to_goal(
     *,
     learner: Learner | None = Learner(),  # noqa: B008
     options: LoopOptions = ONE_OBSERVATION,
-    progress: Callable[[PushStep], None] | None = None,
+    progress: Callable[[PushRound], None] | None = None,
 ) -> PushRun:
     """Pushes an object to a goal in a world, seeing it after every push, and learning on the way.
 
@@ -115,7 +115,7 @@ def push_to_goal(
     """
     obj = model.obj
     aim = check_vector(PlanningError, "goal", goal, 3)
-    steps: list[PushStep] = []
+    steps: list[PushRound] = []
     loop = PushToGoalLoop(model, rules, options)
 
     def learn(
@@ -132,12 +132,12 @@ def push_to_goal(
         error = nan
         if len(seen.t_observed):
             error = float(calc_goal_error(obj, seen.final_pose, state.planned.pose))
-        steps.append(PushStep(state.planned, seen, error, learned))
+        steps.append(PushRound(state.planned, seen, error, learned))
         if progress is not None:
             progress(steps[-1])
 
     def is_over(state: PushToGoalState) -> bool:
-        return state.status.mode in (ContactPointMode.REACHED, FAILED, LOST)
+        return state.status.mode in (ContactPointMode.REACHED, FAILED_MODE, LOST_MODE)
 
     run = run_loop(loop, world, is_over, obj=obj, learn=learn, goal=aim, progress=note)
     status = run.state.status

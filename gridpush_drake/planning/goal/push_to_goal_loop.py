@@ -11,8 +11,8 @@ where and how to push, by what was learned so far. So an object that slipped, or
 somebody, is pushed from where it lies.
 
 After two surprises in a row, or a clear one, the object is another one than was learned. Then
-`POKES` pokes are made, which tell most of where it bears, before it is pushed on. Where it hangs
-over the table's edge, any surprise ends the pushing.
+`RELEARNING_POKES` pokes are made, which tell most of where it bears, before it is pushed on. Where
+it hangs over the table's edge, any surprise ends the pushing.
 
 `push_to_goal` steps the loop in a simulated world, and a controller steps it on a robot. A whole
 sequence by the model alone is planned by `push_plan`.
@@ -30,9 +30,9 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.notebook import count
 from gridpush_drake.planning.closed_loop import (
-    FAILED,
+    FAILED_MODE,
     MAX_FALLBACKS,
-    WAITING,
+    WAITING_MODE,
     ClosedLoop,
     LoopOptions,
     LoopState,
@@ -44,24 +44,24 @@ from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.learning_poke import choose_poke_within
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_decision import decide_push, forbid
-from gridpush_drake.planning.goal.push_plan import REASONS, PushPlanStatus
+from gridpush_drake.planning.goal.push_plan import STATUS_SENTENCES, PushPlanStatus
 from gridpush_drake.planning.support_surface import find_supported
 
-MOVED = 0.01
+MOVED_AFTER_END = 0.01
 """If somebody moves an object by this much after the end, as the mean way of its cells, m, it is
 pushed again."""
 
-REFUSED = "refused"
+REFUSED_CAUSE = "refused"
 """Cause of a failure: the robot refused too many pushes in a row."""
 
-ERROR = "error"
+ERROR_CAUSE = "error"
 """Cause of a failure: no push could be planned, for an argument makes no sense."""
 
-SURPRISED = "surprised"
+INNOVATION_CAUSE = "surprised"
 """Cause of a failure: the object moves unlike what was learned of it, and pushing on is not safe or
 does not help."""
 
-POKES = 2
+RELEARNING_POKES = 2
 """Number of pokes after the object was found to be another one than was learned. With the one or
 two pushes that surprised, it is then learned anew from three or four."""
 
@@ -96,7 +96,7 @@ class ContactPointStatus:
         expected_error: mean cell error to the goal there, m; NaN where no push is under way.
         prediction_error: mean cell distance of where the last push left the object from where it
             was predicted to, m; NaN before.
-        surprises: number of the last pushes that were surprises, one after another.
+        innovations: number of the last pushes that were surprises, one after another.
         surprise: the last push's surprise in a sentence; empty where it was none.
     """
 
@@ -109,7 +109,7 @@ class ContactPointStatus:
     expected_pose: Pose | None = None
     expected_error: float = nan
     prediction_error: float = nan
-    surprises: int = 0
+    innovations: int = 0
     surprise: str = ""
 
 
@@ -194,7 +194,10 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
 
     def _count_refused(self, now: PushToGoalState) -> dict[str, Any]:
         count = len(now.refused)
-        return {"refused": count, "cause": REFUSED if count >= self.options.max_refusals else ""}
+        return {
+            "refused": count,
+            "cause": REFUSED_CAUSE if count >= self.options.max_refusals else "",
+        }
 
     def _prepare(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
         """The state that begins anew, where another goal is given."""
@@ -211,17 +214,17 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
             filter=now.filter,
             believed=now.believed,
             logged=now.logged,
-            surprises=now.surprises,
+            innovations=now.innovations,
             fallbacks=now.fallbacks,
             pokes=now.pokes,
         )
-        return begun.turn_to(WAITING, reason)
+        return begun.turn_to(WAITING_MODE, reason)
 
     def _end_push(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
         """The state after a push; pokes are due if it says that the object has changed."""
         after = super()._end_push(now, seen)
-        if after.surprises is not now.surprises and after.surprises.is_changed:
-            return replace(after, pokes=POKES, fallbacks=after.fallbacks + 1)
+        if after.innovations is not now.innovations and after.innovations.is_changed:
+            return replace(after, pokes=RELEARNING_POKES, fallbacks=after.fallbacks + 1)
         # A poke that was made is one less to make; one that was refused is chosen anew.
         poked = now.status.mode == ContactPointMode.POKING and not seen.robot.reason
         return replace(after, pokes=max(now.pokes - 1, 0)) if poked else after
@@ -231,16 +234,18 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         pose = now.filter.calc_mean()
         found = seen.identification
         # After the end there is another attempt only if somebody moved the object.
-        if now.status.mode in (ContactPointMode.REACHED, FAILED):
+        if now.status.mode in (ContactPointMode.REACHED, FAILED_MODE):
             moved = np.inf
             if now.decided_at is not None:
                 moved = float(calc_goal_error(self.obj, pose, now.decided_at))
-            if moved < MOVED or now.status.cause == PushPlanStatus.TOO_MANY_PUSHES:
+            if moved < MOVED_AFTER_END or now.status.cause == PushPlanStatus.TOO_MANY_PUSHES:
                 return now
-            now = replace(now, refused=()).turn_to(WAITING, "Somebody moved the object.", refused=0)
+            now = replace(now, refused=()).turn_to(
+                WAITING_MODE, "Somebody moved the object.", refused=0
+            )
         now = replace(now, decided_at=pose)
         try:
-            surprised = self._face_surprise(now, seen, pose)
+            surprised = self._face_innovation(now, seen, pose)
             if surprised is not None:
                 return surprised
             decision = decide_push(
@@ -253,7 +258,9 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
                 cost_to_go=now.cost_to_go,
             )
         except GridPushError as error:
-            return now.turn_to(FAILED, f"No push could be planned: {error}.", cause=ERROR)
+            return now.turn_to(
+                FAILED_MODE, f"No push could be planned: {error}.", cause=ERROR_CAUSE
+            )
         chosen = decision.chosen
         now = replace(
             now,
@@ -264,10 +271,10 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
             return self._push(now, decision.error, chosen.push, seen)
         cause = decision.status
         assert cause is not None
-        mode = ContactPointMode.REACHED if cause == PushPlanStatus.REACHED else FAILED
-        return now.turn_to(mode, REASONS[cause], cause=cause.value, error=decision.error)
+        mode = ContactPointMode.REACHED if cause == PushPlanStatus.REACHED else FAILED_MODE
+        return now.turn_to(mode, STATUS_SENTENCES[cause], cause=cause.value, error=decision.error)
 
-    def _face_surprise(
+    def _face_innovation(
         self, now: PushToGoalState, seen: Observation, pose: Array
     ) -> PushToGoalState | None:
         """The state in which the loop pokes or stops, because pushes surprised.
@@ -284,7 +291,7 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         Raises:
             PlanningError: a poke cannot be planned.
         """
-        last = now.surprises.last
+        last = now.innovations.last
         if (last is None and not now.pokes) or now.status.pushes >= self.rules.max_pushes:
             return None
         error = float(calc_goal_error(self.obj, pose, np.array(now.goal)))
@@ -297,22 +304,22 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
                 f"The object hangs over the table's edge, and surprised. {last.describe()} "
                 "It is pushed no further."
             )
-            return now.turn_to(FAILED, reason, cause=SURPRISED, error=error)
+            return now.turn_to(FAILED_MODE, reason, cause=INNOVATION_CAUSE, error=error)
         if not now.pokes or seen.identification is None:
             return None
         if now.fallbacks > MAX_FALLBACKS:
             reason = "The object goes on moving unlike what was learned of it."
-            return now.turn_to(FAILED, reason, cause=SURPRISED, error=error)
+            return now.turn_to(FAILED_MODE, reason, cause=INNOVATION_CAUSE, error=error)
         poke = choose_poke_within(
             forbid(self.rules, now.refused),
             pose,
             seen.identification,
-            now.surprises.select(seen.log),
+            now.innovations.select(seen.log),
             np.array(now.goal),
         )
         if poke is None:
             reason = "The object moves unlike what was learned of it, and no poke is safe."
-            return now.turn_to(FAILED, reason, cause=SURPRISED, error=error)
+            return now.turn_to(FAILED_MODE, reason, cause=INNOVATION_CAUSE, error=error)
         reason = (
             "The last pushes surprised, and the object is learned anew: "
             f"{count(now.pokes, 'poke')} to go."

@@ -12,12 +12,12 @@ import numpy as np
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.notebook import MM
 from gridpush_drake.planning.exploration.designed_pokes import PokeOptions
 from gridpush_drake.planning.pregrasp.goals import GoalOptions, PreGraspGoal
-from gridpush_drake.planning.pregrasp.gripper import Gripper
+from gridpush_drake.planning.pregrasp.grasp.gripper import Gripper
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.weighing.press import PressTarget
+from gridpush_drake.units import MM_PER_M
 
 Action = Literal["poke", "slide", "weigh", "grasp", "fail"]
 
@@ -78,7 +78,7 @@ class PokeForecast:
         what = "how far the center can be across the edge" if self.across_edge else "the center"
         return (
             f"this poke is expected to bring the standard deviation of {what} "
-            f"from {self.std * MM:.1f} mm to {self.expected_std * MM:.1f} mm"
+            f"from {self.std * MM_PER_M:.1f} mm to {self.expected_std * MM_PER_M:.1f} mm"
         )
 
     def describe_outcome(self, after: "PokeForecast") -> str:
@@ -92,8 +92,8 @@ class PokeForecast:
         """
         if after.across_edge != self.across_edge:
             return ""
-        expected = f"{self.expected_std * MM:.1f} mm"
-        came = f"{after.std * MM:.1f} mm"
+        expected = f"{self.expected_std * MM_PER_M:.1f} mm"
+        came = f"{after.std * MM_PER_M:.1f} mm"
         if came == expected:
             return ""
         return (
@@ -108,7 +108,7 @@ class PreGraspDecision:
 
     Attributes:
         action: "poke" and "slide" are pushes to make; "weigh" is a press at the table's edge, which
-            only a `WeighingPlanner` asks for; "grasp" and "fail" end the task.
+            only a `TiltTestPlanner` asks for; "grasp" and "fail" end the task.
         reason: why, in half a sentence.
         goal: the goal that the slide goes to; the present pose, if the object can be grasped where
             it lies; the best goal that there is, even if it is not safe, before a poke or a

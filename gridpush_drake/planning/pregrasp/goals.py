@@ -31,7 +31,7 @@ from gridpush_drake.geometry.polygons import calc_margin_inside, find_weakest_di
 from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
+from gridpush_drake.planning.pregrasp.grasp.grasp_parts import GraspPart
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_support_polygon
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import PushRule, make_body
@@ -66,11 +66,11 @@ GOAL_ROOM = 0.03
 """Least distance of an object at a goal from anything else on the table, m; a little more than
 pushes towards the goal must keep."""
 
-TOUCH = 1e-9
+MIN_TOUCH_DEPTH = 1e-9
 """Least depth by which a footprint that touches the table counts as over it, m."""
 
 SMALLER_OVERHANGS = (0.5, 0.25)
-"""If nothing is safe with the overhang wanted, these shares of it are tried."""
+"""If nothing is safe with the overhang wanted, these fractions of it are tried."""
 
 LARGER_OVERHANGS = (3.0, 5.0)
 """If no smaller overhang gives a goal either, these multiples of it are tried: the gripper's pads
@@ -205,7 +205,7 @@ def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: Support
     footprints = shapely.polygons(corners)
     clear = shapely.distance(footprints, surface.polygon)
     inside = surface.signed_distances(corners).max(axis=1)
-    return np.where(clear > 0, clear, -np.maximum(inside, TOUCH))
+    return np.where(clear > 0, clear, -np.maximum(inside, MIN_TOUCH_DEPTH))
 
 
 def find_grasp_at(
@@ -288,11 +288,11 @@ def find_pregrasp_goals(
     q = np.asarray(pose, dtype=np.float64)
     check_room(masses.obj, parts, surface)
     unsafe: list[PreGraspGoal] = []
-    for share in (1.0, *SMALLER_OVERHANGS, *LARGER_OVERHANGS):
+    for fraction in (1.0, *SMALLER_OVERHANGS, *LARGER_OVERHANGS):
         # A larger overhang makes margins thinner: it is for where there is no goal at all.
-        if unsafe and share > 1.0:
+        if unsafe and fraction > 1.0:
             break
-        wanted = replace(options, overhang=share * options.overhang)
+        wanted = replace(options, overhang=fraction * options.overhang)
         candidates = _propose(masses, parts, q, surface, wanted, limits, obstacles)
         found = _judge_candidates(candidates, masses, q, surface, options)
         safe = [goal for goal in found if goal.margin >= options.margin]

@@ -30,7 +30,6 @@ from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.identification.model import Model
-from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -56,7 +55,7 @@ from gridpush_drake.planning.pregrasp.goals import (
     find_grasp_at,
     find_pregrasp_goals,
 )
-from gridpush_drake.planning.pregrasp.grasp_parts import (
+from gridpush_drake.planning.pregrasp.grasp.grasp_parts import (
     FlatPart,
     GraspPart,
     find_flat_parts,
@@ -64,7 +63,7 @@ from gridpush_drake.planning.pregrasp.grasp_parts import (
     find_held_parts,
     stack_flat_parts,
 )
-from gridpush_drake.planning.pregrasp.gripper import PadLimit
+from gridpush_drake.planning.pregrasp.grasp.gripper import PadLimit
 from gridpush_drake.planning.pregrasp.poke_forecast import forecast_std
 from gridpush_drake.planning.pregrasp.slides import (
     OBSTACLE_MARGIN,
@@ -78,9 +77,10 @@ from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, Uncer
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import check_size
+from gridpush_drake.units import MM_PER_M
 
-ACCEPTED_SHARE = 2 / 3
-"""Share of the margin asked of a goal that is enough once the object is on its way, and where it
+ACCEPTED_FRACTION = 2 / 3
+"""Fraction of the margin asked of a goal that is enough once the object is on its way, and where it
 ends up. Pushes end only nearly where they should, and each of them changes a little what is known,
 so that with the whole margin a plan would often be given up halfway."""
 
@@ -285,10 +285,10 @@ class PreGraspPlanner:
         options = self.options
         # Grasp, where a part hangs over already.
         here = find_grasp_at(model.masses, parts, q, self.surface, options.goal, self.limits)
-        if here is not None and here.margin >= ACCEPTED_SHARE * options.goal.margin:
+        if here is not None and here.margin >= ACCEPTED_FRACTION * options.goal.margin:
             reason = (
                 "a part hangs over, and the object stays put with "
-                f"{here.margin * MM:.0f} mm to spare"
+                f"{here.margin * MM_PER_M:.0f} mm to spare"
             )
             return PreGraspDecision("grasp", reason, here)
         # Poke, while too little is known, or no goal is safe enough.
@@ -297,11 +297,12 @@ class PreGraspPlanner:
         goals = self._find_goals(q, model, parts)
         if not goals:
             return self._poke_or_give_up(q, model, parts, pokes)
-        asked = options.goal.margin * (ACCEPTED_SHARE if slides else 1.0)
+        asked = options.goal.margin * (ACCEPTED_FRACTION if slides else 1.0)
         if goals[0].margin < asked:
             why = (
-                f"the safest goal has a stability margin of {goals[0].margin * MM:.0f} mm at the "
-                f"worst; {asked * MM:.0f} mm are asked for"
+                f"the safest goal has a stability margin of {goals[0].margin * MM_PER_M:.0f} mm "
+                "at the "
+                f"worst; {asked * MM_PER_M:.0f} mm are asked for"
             )
             return self._poke(q, model, goals[0], pokes, why)
         # Slide towards the goals.
@@ -344,9 +345,9 @@ class PreGraspPlanner:
         )
         if slide is None:
             return None
-        reason = f"{slide.planned.cost * MM:.0f} mm from {aim} after this push"
+        reason = f"{slide.planned.cost * MM_PER_M:.0f} mm from {aim} after this push"
         if np.isfinite(self.options.slide.margin):
-            reason += f"; stability margin {slide.margin * MM:.0f} mm or more on the way"
+            reason += f"; stability margin {slide.margin * MM_PER_M:.0f} mm or more on the way"
         return PreGraspDecision(
             "slide",
             reason,
@@ -401,7 +402,7 @@ class PreGraspPlanner:
             )
             return PreGraspDecision("fail", why)
         arm = self._calc_max_arm(model)
-        near = f" within {arm * MM:.0f} mm of the center of mass" if np.isfinite(arm) else ""
+        near = f" within {arm * MM_PER_M:.0f} mm of the center of mass" if np.isfinite(arm) else ""
         why = f"no pose lets a graspable part{near} hang over the edge where the arm can take it"
         reachable = self._find_parts_near(model, arm + REACHABLE_SIGMAS * calc_center_std(model))
         if len(reachable) == len(parts) or not self._find_goals(pose, model, reachable):

@@ -23,21 +23,21 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, PushLogWarning
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.fit.load_prior import HypothesisInputs
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.load_prior import Setting
-from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.posterior import CONTACT_FRICTION, calc_share
+from gridpush_drake.identification.statistics.posterior import CONTACT_FRICTION, calc_fraction
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.exploration.designed_pokes import Functional, calc_worst_std
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
-from gridpush_drake.planning.world import OBSERVATIONS
+from gridpush_drake.planning.world import OBSERVATION_COUNT
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 FORECAST_DRAWS = 5
 """Number of models whose pokes are imagined once pushes were learned from."""
 
-IMAGINED = "imagined_poke"
+IMAGINED_POKE = "imagined_poke"
 """Name of an imagined poke in the log that is learned from."""
 
 
@@ -73,7 +73,7 @@ def forecast_std(
                 )
         except GridPushError:
             continue  # nothing is learned from such an outcome
-        if IMAGINED not in found.push_names:
+        if IMAGINED_POKE not in found.push_names:
             continue
         after = UncertainModel.of_identification(found, friction_range=model.friction_range)
         F = make_functional(after)
@@ -87,7 +87,7 @@ def _draw_models(model: UncertainModel, rng: np.random.Generator) -> list[CellPa
     if len(model.log):
         return posterior.draw_parameters(model.params, FORECAST_DRAWS, model.seed, model.evidence)
     variance = posterior.prior_covariance[CONTACT_FRICTION, CONTACT_FRICTION]
-    setting = Setting(model.obj, posterior.mean, float(np.sqrt(variance)))
+    setting = HypothesisInputs(model.obj, posterior.mean, float(np.sqrt(variance)))
     draws = []
     for hypothesis in MapEnsemble().hypotheses:
         if hypothesis.needs_pushes:
@@ -101,7 +101,7 @@ def _draw_models(model: UncertainModel, rng: np.random.Generator) -> list[CellPa
 def _make_parameters(model: UncertainModel, z: Array) -> CellParameters:
     """Makes masses of the estimate's friction that bear the loads of z (n+1,)."""
     params = model.params
-    mass = float(params.mass @ params.friction) * calc_share(z) / params.friction
+    mass = float(params.mass @ params.friction) * calc_fraction(z) / params.friction
     return replace(params, mass=mass, contact_friction=float(np.exp(z[CONTACT_FRICTION])))
 
 
@@ -121,10 +121,10 @@ def _imagine(
     varied = replace(params, contact_friction=float(factor * params.contact_friction))
     motion = simulate(Model(model.obj, varied, model.physics), push, pose)
     # as often as the pushes so far were seen
-    count = len(model.log[-1].t_observed) if len(model.log) else OBSERVATIONS
+    count = len(model.log[-1].t_observed) if len(model.log) else OBSERVATION_COUNT
     times = push.duration * np.arange(1, count + 1) / count
     poses = np.column_stack([np.interp(times, motion.times, motion.poses[:, i]) for i in range(3)])
     unit = np.array([1.0, 1.0, model.obj.radius_of_gyration])
     std = model.noise_scale.pose * noise.pose
     poses += std / unit * rng.standard_normal(poses.shape)
-    return ObservedPush(IMAGINED, push, pose, times, poses)
+    return ObservedPush(IMAGINED_POKE, push, pose, times, poses)

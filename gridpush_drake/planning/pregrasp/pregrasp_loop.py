@@ -15,8 +15,9 @@ what to do next; nothing is done on an old observation. A decision depends on th
 learned, and on how often something was tried. So an object that slipped, or was moved by somebody,
 is simply taken from where it lies.
 
-After two surprises in a row, or a clear one (`identification.surprise`), the object is another one
-than was learned. The planner then begins anew: it pokes until it knows enough, before it slides on.
+After two surprises in a row, or a clear one (`identification.innovation`), the object is another
+one than was learned. The planner then begins anew: it pokes until it knows enough, before it slides
+on.
 
 If an object that surprised hangs over the edge, what matters is that it does not fall. After a
 slight surprise, the first one there, the push is learned from, all that was learned is taken as
@@ -42,13 +43,13 @@ from typing import Any
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.innovation import check_innovation
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.identification.surprise import judge_push
 from gridpush_drake.planning.closed_loop import (
-    FAILED,
-    LOST,
+    FAILED_MODE,
+    LOST_MODE,
     MAX_FALLBACKS,
-    WAITING,
+    WAITING_MODE,
     ClosedLoop,
     LoopOptions,
     LoopState,
@@ -57,10 +58,10 @@ from gridpush_drake.planning.closed_loop import (
 )
 from gridpush_drake.planning.pregrasp.decision import PokeForecast, PreGraspDecision
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
-from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
+from gridpush_drake.planning.pregrasp.grasp.grasp_parts import FlatPart
+from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.push_monitor import PushMonitor
-from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.robot_status import GraspOutcome, GraspStatus, PressStatus, PushPhase
 from gridpush_drake.planning.support_surface import find_supported
@@ -79,11 +80,11 @@ Infer = Callable[[Identification | None, PushLog], UncertainModel | None]
 be seen first."""
 
 
-MAX_EDGE_SURPRISES = 1
+MAX_EDGE_INNOVATIONS = 1
 """Number of slight surprises of an object that hangs over the edge, after which the loop goes on.
 After the next one it gives up."""
 
-DOUBT = 2.0
+COVARIANCE_INFLATION = 2.0
 """After a surprise over the edge, the standard deviations of all that was learned are taken so many
 times as large as would have made the push just no surprise."""
 
@@ -137,7 +138,7 @@ class PreGraspStatus:
             rad; None without.
         margin: stability margin of the goal at the worst, m; NaN without one.
         forecast: of the last poke asked for; None before the first.
-        surprises: number of the last pushes that were surprises, one after another.
+        innovations: number of the last pushes that were surprises, one after another.
         surprise: the last push's surprise in a sentence; empty where it was none.
     """
 
@@ -151,7 +152,7 @@ class PreGraspStatus:
     expected_pose: Pose | None = None
     margin: float = nan
     forecast: PokeForecast | None = None
-    surprises: int = 0
+    innovations: int = 0
     surprise: str = ""
 
     @property
@@ -201,10 +202,11 @@ class PreGraspState(LoopState):
         press: the last press asked for; None before the first.
         press_id: number of that press, counted from 1; 0 before the first.
         press_pose: (x, y, theta) where the object lay then, m and rad; None before the first.
-        withstood: number of presses at which the object did not tilt, since the last one at which
-            it did.
+        no_tilt_count: number of presses at which the object did not tilt, since the last one at
+            which it did.
         failed_presses: number of presses in a row that weighed nothing.
-        edge_surprises: number of surprises so far with which the object came to hang over the edge.
+        edge_innovations: number of surprises so far with which the object came to hang over the
+            edge.
         waits: number of times that the object was looked at anew since the last push, because a
             push that surprised was not learned from yet.
         retreating: whether the object is being brought back onto the table.
@@ -220,9 +222,9 @@ class PreGraspState(LoopState):
     press: PressTarget | None = None
     press_id: int = 0
     press_pose: Pose | None = None
-    withstood: int = 0
+    no_tilt_count: int = 0
     failed_presses: int = 0
-    edge_surprises: int = 0
+    edge_innovations: int = 0
     waits: int = 0
     retreating: bool = False
     retreats: int = 0
@@ -239,7 +241,7 @@ class PreGraspState(LoopState):
 
     def turn_to(self, mode: str, reason: str, **others: Any) -> "PreGraspState":
         """The state in another mode, see `LoopState.turn_to`. A lost object has no goal."""
-        if mode == LOST:
+        if mode == LOST_MODE:
             others = {"goal": None, **others}
         return super().turn_to(mode, reason, **others)
 
@@ -345,11 +347,11 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
     def _end_push(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """The state after a push; the planner begins anew if the object has changed."""
         after = replace(super()._end_push(now, seen), waits=0)
-        if after.surprises is now.surprises or after.surprises.last is None:
+        if after.innovations is now.innovations or after.innovations.last is None:
             return after
         if self._hangs_over(seen.log[-1].final_pose):
-            after = replace(after, edge_surprises=after.edge_surprises + 1)
-        if not after.surprises.is_changed:
+            after = replace(after, edge_innovations=after.edge_innovations + 1)
+        if not after.innovations.is_changed:
             return after
         return replace(
             after,
@@ -368,21 +370,21 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         pose = now.filter.calc_mean()
         if now.fallbacks > MAX_FALLBACKS:
             reason = "The object goes on moving unlike what was learned of it."
-            return now.turn_to(FAILED, reason, goal=None)
+            return now.turn_to(FAILED_MODE, reason, goal=None)
         hangs_over = self._hangs_over(pose)
         if not hangs_over and now.retreating:
             now = replace(now, retreating=False)
-        in_doubt = hangs_over and now.surprises.last is not None
+        is_ambiguous = hangs_over and now.innovations.last is not None
         planner = self._choose_planner(now)
         try:
-            if in_doubt and not _is_learned(seen) and now.waits < MAX_WAITS:
+            if is_ambiguous and not _is_learned(seen) and now.waits < MAX_WAITS:
                 return replace(now, filter=now.filter.forget(), waits=now.waits + 1)
             uncertain = self._infer(seen.identification, seen.log)
-            if in_doubt or now.retreating:
+            if is_ambiguous or now.retreating:
                 # What was learned before was just refuted. What is learned now is doubted; what
                 # that leaves possible decides whether the object is still safe.
-                uncertain = (uncertain or UncertainModel.of_prior(planner.obj)).doubt(
-                    _calc_doubt(now)
+                uncertain = (uncertain or UncertainModel.of_prior(planner.obj)).inflate(
+                    _calc_inflation(now)
                 )
                 why = self._find_danger(now, seen, pose, uncertain)
                 if why is not None:
@@ -395,7 +397,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
                 now.status.slides - now.slides_before,
             )
         except GridPushError as error:
-            return now.turn_to(FAILED, f"Nothing could be planned: {error}.", goal=None)
+            return now.turn_to(FAILED_MODE, f"Nothing could be planned: {error}.", goal=None)
         return self._follow_decision(now, pose, uncertain, decision, seen)
 
     def _find_danger(
@@ -411,11 +413,11 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         """
         if now.retreating:
             return "and is not back on the table yet"
-        if now.surprises.is_changed:
+        if now.innovations.is_changed:
             return "so far off that it may be another object"
         # Pushes that surprise slightly say nothing against a center of mass that was weighed.
         if not _is_center_weighed(doubted):
-            if now.edge_surprises > MAX_EDGE_SURPRISES:
+            if now.edge_innovations > MAX_EDGE_INNOVATIONS:
                 return "not for the first time"
             if not _is_learned(seen):
                 return "and nothing could be learned from it"
@@ -437,7 +439,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
 
         It is given up where no push does so safely, or too many were made already.
         """
-        if not now.retreating and not now.surprises.is_changed:
+        if not now.retreating and not now.innovations.is_changed:
             now = replace(
                 now,
                 fallbacks=now.fallbacks + 1,
@@ -452,7 +454,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         push = decision.push
         reason = f"it hangs over and surprised, {why}; {decision.reason}"
         decision = replace(decision, reason=reason)
-        now = replace(now, retreating=True, retreats=now.retreats + 1, edge_surprises=0)
+        now = replace(now, retreating=True, retreats=now.retreats + 1, edge_innovations=0)
         return self._push(now, pose, doubted, decision, push, seen)
 
     def _follow_decision(
@@ -466,7 +468,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         """The state in which a planner's decision is carried out."""
         reason = _make_sentence(decision.reason)
         if decision.action == "fail":
-            return now.turn_to(FAILED, reason, goal=decision.goal, margin=decision.margin)
+            return now.turn_to(FAILED_MODE, reason, goal=decision.goal, margin=decision.margin)
         if decision.press is not None:
             x, y, theta = pose.tolist()
             now = replace(
@@ -497,7 +499,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             return planner.stop_weighing(
                 f"{count} presses in a row weighed nothing, so that it is weighed no more"
             )
-        for _ in range(now.withstood):
+        for _ in range(now.no_tilt_count):
             planner = planner.suppose_heavier()
         return planner
 
@@ -530,9 +532,9 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         last = now.status.forecast
         if last is not None and decision.forecast is not None:
             reason += last.describe_outcome(decision.forecast)
-        if now.surprises.is_changed:
+        if now.innovations.is_changed:
             reason = f"The last pushes surprised, and the object is learned anew: {reason}"
-        elif now.surprises.last is not None and self._hangs_over(pose) and not now.retreating:
+        elif now.innovations.last is not None and self._hangs_over(pose) and not now.retreating:
             reason = f"The last push surprised, but the object is safe still: {reason}"
         expected_pose = None
         if decision.expected_pose is not None:
@@ -567,7 +569,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             why = (
                 "The gripper reaches no part that hangs over and by which its pads hold the object."
             )
-            return now.turn_to(FAILED, why, goal=goal, margin=decision.margin)
+            return now.turn_to(FAILED_MODE, why, goal=goal, margin=decision.margin)
         return replace(now, grasp=grasp, grasp_id=now.grasp_id + 1).turn_to(
             PreGraspMode.GRASPING,
             "A part that hangs over is taken.",
@@ -582,12 +584,12 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             return now
         what = f"It was pressed at the edge: {presser.reason}."
         if presser.weighed:
-            weighed = replace(now, withstood=0, failed_presses=0)
-            return weighed.turn_to(WAITING, what, presses=now.status.presses + 1)
+            weighed = replace(now, no_tilt_count=0, failed_presses=0)
+            return weighed.turn_to(WAITING_MODE, what, presses=now.status.presses + 1)
         failed = replace(now, failed_presses=now.failed_presses + 1)
         if presser.outcome == PressOutcome.TOO_HEAVY:
-            failed = replace(failed, withstood=now.withstood + 1)
-        return failed.turn_to(WAITING, what)
+            failed = replace(failed, no_tilt_count=now.no_tilt_count + 1)
+        return failed.turn_to(WAITING_MODE, what)
 
     def _follow_grasp(self, now: PreGraspState, gripper: GraspStatus) -> PreGraspState:
         """The state while a grasp is under way, and after it."""
@@ -600,14 +602,18 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             return now
         what = f"The grasp was {gripper.outcome}: {gripper.reason}."
         give_up = now.status.grasps >= self.options.max_grasps
-        return now.turn_to(FAILED if give_up else WAITING, what, goal=None)
+        return now.turn_to(FAILED_MODE if give_up else WAITING_MODE, what, goal=None)
 
 
-def _calc_doubt(now: PreGraspState) -> float:
+def _calc_inflation(now: PreGraspState) -> float:
     """By how much less sure what was learned is, after a push that surprised over the edge."""
-    last = now.surprises.last
+    last = now.innovations.last
     # On the way back, a push may have ended as it was predicted to.
-    return DOUBT if last is None else DOUBT * max(last.distance / last.limit, 1.0)
+    return (
+        COVARIANCE_INFLATION
+        if last is None
+        else COVARIANCE_INFLATION * max(last.distance / last.limit, 1.0)
+    )
 
 
 def _is_learned(seen: Observation) -> bool:
@@ -622,8 +628,8 @@ def _is_learned(seen: Observation) -> bool:
 def _is_explained(seen: Observation) -> bool:
     """Whether what was learned explains the last push: by it, the push would be no surprise."""
     found = seen.identification
-    judgment = None if found is None else judge_push(found, seen.log[-1], seen.log.table)
-    return judgment is not None and not judgment.surprises
+    judgment = None if found is None else check_innovation(found, seen.log[-1], seen.log.table)
+    return judgment is not None and not judgment.innovations
 
 
 def _is_center_weighed(doubted: UncertainModel) -> bool:
@@ -634,12 +640,12 @@ def _is_center_weighed(doubted: UncertainModel) -> bool:
 
 def _give_up_at_edge(now: PreGraspState, why: str) -> PreGraspState:
     """The state in which the loop gives up an object that surprised and hangs over the edge."""
-    told = "" if now.surprises.last is None else f"{now.surprises.last.describe()} "
+    innovation_text = "" if now.innovations.last is None else f"{now.innovations.last.describe()} "
     reason = (
         f"The object hangs over the table's edge, and surprised, {why}. "
-        f"{told}It is neither slid on nor grasped."
+        f"{innovation_text}It is neither slid on nor grasped."
     )
-    return now.turn_to(FAILED, reason, goal=None)
+    return now.turn_to(FAILED_MODE, reason, goal=None)
 
 
 def _make_sentence(words: str) -> str:

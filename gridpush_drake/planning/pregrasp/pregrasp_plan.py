@@ -14,11 +14,12 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.model import Model
-from gridpush_drake.notebook import MM, count, describe_pose, draw_paths, make_page, make_table
+from gridpush_drake.notebook import count, describe_pose, draw_paths, make_page, make_table
 from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.units import MM_PER_M
 
 
 class PreGraspPlanStatus(StrEnum):
@@ -59,7 +60,7 @@ class PreGraspPlan:
     def _repr_html_(self) -> str:
         """A table with a row for each push, and a drawing of the predicted path."""
         rows = [
-            (number, f"{push.length * MM:.0f}", describe_pose(pose))
+            (number, f"{push.length * MM_PER_M:.0f}", describe_pose(pose))
             for number, (push, pose) in enumerate(
                 zip(self.pushes, self.poses[1:], strict=True), start=1
             )

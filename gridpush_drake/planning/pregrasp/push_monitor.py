@@ -21,12 +21,12 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.geometry.se2 import Array, transform_shape
-from gridpush_drake.notebook import MM
 from gridpush_drake.planning.pregrasp.slides import SlideOptions, calc_kept_margin
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.units import MM_PER_M
 
 BREAK_OFF_DISTANCE = 0.015
 """Distance between the object and another thing below which a push under way is broken off, m. Two
@@ -104,8 +104,11 @@ class PushMonitor:
         if self.obstacles is not None:
             gap = transform_shape(pose, make_body(self.masses.obj)).distance(self.obstacles)
             if gap < self.room:
-                return f"the object is {gap * MM:.0f} mm from another one"
+                return f"the object is {gap * MM_PER_M:.0f} mm from another one"
         margin = calc_stability_margin(self.masses, pose, self.surface, self.inset - self.error)
         if margin >= self.margin - self.error:
             return None
-        return f"the object might fall, its stability margin is {margin * MM:.0f} mm at the worst"
+        return (
+            f"the object might fall, its stability margin is {margin * MM_PER_M:.0f} mm at the "
+            "worst"
+        )

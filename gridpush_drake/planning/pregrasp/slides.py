@@ -3,7 +3,7 @@
 `plan_slide` chooses it. Contact-point optimization proposes pushes towards each goal, forbidden to
 pass poses whose stability margin is too thin. What a proposal does is then followed by samples of
 the model, with the loads that an overhanging object has (`edge_motion`), and the push is cut before
-the first pose in which the margin is too thin by more than a small share of the samples, or in
+the first pose in which the margin is too thin by more than a small fraction of the samples, or in
 which the object falls by any. The proposal is taken that, so cut, ends nearest to its goal on the
 average of the samples.
 
@@ -61,7 +61,7 @@ overhang is the stability margin."""
 ROUND_OFF_MARGIN = 1e-4
 """By how much a margin that is thin already may become thinner, m, for round-off."""
 
-BLOCK = 24
+BLOCK_SIZE = 24
 """Number of samples that are followed before it is looked how much of a push they leave."""
 
 
@@ -75,7 +75,8 @@ class SlideOptions:
         goals: number of goals, the best ones, that pushes are sought towards.
         proposals: number of proposed pushes that are tried on the samples, over all goals.
         few: number of samples with which proposals are sifted before any is weighed with all.
-        confidence: share of the samples that must keep the margin; all of them where they are few.
+        confidence: fraction of the samples that must keep the margin; all of them where they are
+            few.
         min_gain: by how much a push must bring the object nearer to its goal to be worth making,
             mean of the cells, m.
         finger_overhang: how far beyond the edge the finger's center may be, m.
@@ -102,7 +103,8 @@ class Slide:
     Attributes:
         planned: the push, and where it is expected to end.
         goal: the goal that it goes to.
-        margin: least stability margin on the way, by the share of the samples that must keep it, m.
+        margin: least stability margin on the way, by the fraction of the samples that must keep it,
+            m.
         spread: root mean square distance of the cells at the samples' ends from their mean, m.
     """
 
@@ -379,8 +381,8 @@ class _SlideWeighing:
         draws = len(self.models) - 1
         followed = sifted.followed
         rest = self.models[len(followed.poses) :]
-        for begin in range(0, len(rest), BLOCK):
-            block = rest[begin : begin + BLOCK]
+        for begin in range(0, len(rest), BLOCK_SIZE):
+            block = rest[begin : begin + BLOCK_SIZE]
             followed = followed.add(self._follow(block, sifted.planned, cuts, COMPARED_TIP_STEP))
             cuts = cuts[: self._count_safe(followed, draws)]
             if not self._are_long_enough(cuts).any():

@@ -11,8 +11,8 @@ The farthest that the center of mass of such a distribution can be in a directio
     h(d) = max over m of sum m_i d.p_i / sum m_i         (`calc_farthest_center`)
 
 k itself is known up to the posterior's spread. So h is calculated for many draws of k from it that
-agree with the pushes, and the value is kept that all but a small share of the draws stay below. The
-half-planes d.c <= h(d) over many d bound the center of mass c by a polygon, from outside.
+agree with the pushes, and the value is kept that all but a small fraction of the draws stay below.
+The half-planes d.c <= h(d) over many d bound the center of mass c by a polygon, from outside.
 
 `PlausibleMassSet` is these mass distributions and that polygon. `UncertainModel` is the estimate,
 by which motions are predicted, with all that says how far it may be wrong. The theory is in
@@ -31,19 +31,22 @@ from gridpush_drake.dynamics.physics import GRAVITY, QUASI_STATIC, Physics
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.polygons import bound_by_half_planes
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
-from gridpush_drake.identification.absolute import LOG_MASS, AbsoluteEstimate
-from gridpush_drake.identification.evidence import PushEvidence, select_learned
-from gridpush_drake.identification.force_scale import ForceScale
-from gridpush_drake.identification.friction_gradient import calc_gradient_std, draw_gradients
-from gridpush_drake.identification.hypotheses import SmoothField
+from gridpush_drake.identification.absolute.estimate import LOG_MASS, AbsoluteEstimate
+from gridpush_drake.identification.absolute.force_scale import ForceScale
+from gridpush_drake.identification.fit.evidence import PushEvidence, select_learned
+from gridpush_drake.identification.fit.hypotheses import SmoothField
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
-from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.posterior import DrawJudge, Posterior
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.identification.weighed_model import believe_before
+from gridpush_drake.identification.statistics.friction_gradient import (
+    calc_gradient_std,
+    draw_gradients,
+)
+from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.statistics.posterior import DrawJudge, Posterior
+from gridpush_drake.identification.tilt_tests.weighed_model import believe_before
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.model_rollouts import WEIGHED_DRAWS
@@ -57,10 +60,10 @@ from cell to cell."""
 MASS_DRAWS = 200
 """Number of draws from the posterior that the set of plausible masses is made of."""
 
-CONFIDENCE = 0.99
-"""Share of the draws for which the bound of the center of mass must hold, in each direction."""
+CENTER_CONFIDENCE = 0.99
+"""Fraction of the draws for which the bound of the center of mass must hold, in each direction."""
 
-DIRECTIONS = 72
+HALF_PLANE_COUNT = 72
 """Number of half-planes that bound the center of mass, evenly spaced over a full turn."""
 
 PRIOR_SIGMAS = 3.0
@@ -80,7 +83,7 @@ class PlausibleMassSet:
         obj: the object.
         mass_min: (S, n) least mass of each cell, one row for every draw of the relative friction.
         mass_max: (S, n) greatest mass of each cell, one row for every draw.
-        confidence: share of the draws for which a bound of the center of mass must hold.
+        confidence: fraction of the draws for which a bound of the center of mass must hold.
         max_total_mass: greatest mass of the whole object that measured forces or weighings allow,
             kg; None where there are none, or the mass was told.
         weighed: what weighings said of mass and center of mass; None where there are none.
@@ -108,7 +111,7 @@ class PlausibleMassSet:
             raise PlanningError("mass set: expected 0 < mass_min <= mass_max")
         if not 0 < self.confidence <= 1:
             raise PlanningError(
-                f"confidence is {self.confidence!r}; expected a share, over 0 and up to 1"
+                f"confidence is {self.confidence!r}; expected a fraction, over 0 and up to 1"
             )
 
     @classmethod
@@ -156,7 +159,7 @@ class PlausibleMassSet:
             obj=obj,
             mass_min=k / high,
             mass_max=k / low,
-            confidence=CONFIDENCE,
+            confidence=CENTER_CONFIDENCE,
             max_total_mass=heaviest,
             weighed=weighed,
         )
@@ -191,7 +194,7 @@ class PlausibleMassSet:
         weighings leave the center of mass; if the center of mass is known beforehand
         (`obj.prior.center_of_mass`), to a square about that.
         """
-        angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        angle = 2 * np.pi * np.arange(HALF_PLANE_COUNT) / HALF_PLANE_COUNT
         directions = make_direction(angle)
         corners = bound_by_half_planes(directions, self.calc_support(directions))
         if self.weighed is not None:
@@ -314,7 +317,7 @@ class UncertainModel:
         """Makes a model whose parameters are taken for granted."""
         return cls(model.obj, model.params)
 
-    def doubt(self, factor: float) -> "UncertainModel":
+    def inflate(self, factor: float) -> "UncertainModel":
         """The model with all that was learned less sure, as after a push that surprised.
 
         Args:

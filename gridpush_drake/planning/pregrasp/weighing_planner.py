@@ -28,8 +28,8 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
-from gridpush_drake.identification.absolute import LOG_MASS, AbsoluteEstimate
-from gridpush_drake.notebook import MM, count
+from gridpush_drake.identification.absolute.estimate import LOG_MASS, AbsoluteEstimate
+from gridpush_drake.notebook import count
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
@@ -42,18 +42,19 @@ from gridpush_drake.planning.weighing.plan import (
     Edge,
     PlannedPress,
     PressRules,
-    list_rests,
+    list_placements,
     plan_press,
 )
 from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.planning.weighing.sequence import (
-    HEAVIER,
+    MASS_INCREASE,
     SequenceOptions,
     calc_headings,
-    calc_left_open,
-    calc_open,
-    with_sure_force,
+    calc_normalized_uncertainty,
+    calc_remaining_uncertainty,
+    with_no_tip_force,
 )
+from gridpush_drake.units import MM_PER_M
 
 DEFAULT_TOP = 0.03
 """Height of an object whose file does not tell it, m."""
@@ -62,12 +63,12 @@ CORNER_ROOM = 0.15
 """Least distance of an object's middle from a corner of the table, along the edge, where it is
 weighed, m."""
 
-ENOUGH = 3.0
-"""What `calc_open` says if mass and both coordinates of the center are known just well enough. Then
-nothing more is weighed."""
+SUFFICIENT_UNCERTAINTY = 3.0
+"""What `calc_normalized_uncertainty` says if mass and both coordinates of the center are known just
+well enough. Then nothing more is weighed."""
 
-ROUGHLY = 36.0
-"""What `calc_open` says if mass and center are known to about 5 % and 5 mm."""
+ROUGH_UNCERTAINTY = 36.0
+"""What `calc_normalized_uncertainty` says if mass and center are known to about 5 % and 5 mm."""
 
 PRESS_TIME = 6.0
 """Time that a press takes, s."""
@@ -89,7 +90,8 @@ LIKE_HEADING = 0.2
 """Difference of two headings from which on they count as different, rad."""
 
 LEAST_RATE = 0.5
-"""Share of the best press's rate that another press must have for a slide to go there instead."""
+"""Fraction of the best press's rate that another press must have for a slide to go there
+instead."""
 
 SOME_EDGE = Edge(point=(0.0, 0.0), angle=0.0)
 """An edge for which rests are worked out, before they are moved to the table's own edges."""
@@ -102,20 +104,20 @@ SHORT_ARM = 0.012
 """Least distance of a press from the edge, m, where the center of mass may be almost anywhere."""
 
 SMALL_GAIN = 0.03
-"""Share of what is open that a press must be expected to take away at least, where no press takes
-away `WeighingOptions.min_gain` and mass or center are not even roughly known."""
+"""Fraction of what is open that a press must be expected to take away at least, where no press
+takes away `TiltTestOptions.min_gain` and mass or center are not even roughly known."""
 
-MAX_RESTS = 6
+MAX_PLACEMENTS = 6
 """Number of places to be weighed at that a slide may go to."""
 
 
 @dataclass(frozen=True)
-class WeighingOptions:
+class TiltTestOptions:
     """When and how the planner weighs.
 
     Attributes:
         sequence: what presses keep to, and what is enough.
-        min_gain: share of what is open of mass and center that a press must be expected to take
+        min_gain: fraction of what is open of mass and center that a press must be expected to take
             away.
         trusted_margin: stability margin of a goal, m, to which the object is slid without being
             weighed further.
@@ -138,7 +140,7 @@ class WeighingOptions:
     top: float | None = None
 
 
-class WeighingPlanner(PreGraspPlanner):
+class TiltTestPlanner(PreGraspPlanner):
     """Decides as `PreGraspPlanner`, but weighs before it relies on a goal, pokes on or gives up.
 
     Attributes:
@@ -150,7 +152,7 @@ class WeighingPlanner(PreGraspPlanner):
         stopped: why it weighs no more, in half a sentence; empty while it weighs.
     """
 
-    weighing: WeighingOptions = WeighingOptions()
+    weighing: TiltTestOptions = TiltTestOptions()
     mass_factor: float = 1.0
     is_narrow: bool = False
     is_short: bool = False
@@ -168,7 +170,10 @@ class WeighingPlanner(PreGraspPlanner):
         if model is None or model.belief is None or not self.may_weigh(model, pokes, slides):
             return super().decide(pose, model, pokes, slides)
         q = np.asarray(pose, dtype=np.float64)
-        known = calc_open(model.belief.covariance, self.weighing.sequence) <= ROUGHLY
+        known = (
+            calc_normalized_uncertainty(model.belief.covariance, self.weighing.sequence)
+            <= ROUGH_UNCERTAINTY
+        )
         may_slide = slides < self.calc_slide_limit(model.belief.presses)
         if not known:
             weighing = self._decide_to_weigh(q, model, may_slide)
@@ -185,7 +190,10 @@ class WeighingPlanner(PreGraspPlanner):
             return decision
         why = decision.reason
         if decision.action == "slide":
-            why = f"the goal has a stability margin of {decision.margin * MM:.0f} mm at the worst"
+            why = (
+                f"the goal has a stability margin of {decision.margin * MM_PER_M:.0f} mm at the "
+                "worst"
+            )
         return replace(weighing, reason=f"{why}; {weighing.reason}")
 
     def may_weigh(self, model: UncertainModel, pokes: int, slides: int) -> bool:
@@ -196,7 +204,10 @@ class WeighingPlanner(PreGraspPlanner):
             return False
         if model.presses >= self.weighing.max_presses:
             return False
-        return calc_open(model.belief.covariance, self.weighing.sequence) > ENOUGH
+        return (
+            calc_normalized_uncertainty(model.belief.covariance, self.weighing.sequence)
+            > SUFFICIENT_UNCERTAINTY
+        )
 
     def calc_slide_limit(self, presses: int) -> int:
         """Calculates after how many slides an object is slid no further to be weighed.
@@ -251,7 +262,7 @@ class WeighingPlanner(PreGraspPlanner):
         tried = [(self, True), (self, False), (lighter, False)]
         # The whole finger is to press on the object. Where no such press is left, a part that is
         # too narrow for it is pressed.
-        tried += [(planner._allow_narrow(), surely) for planner, surely in tried]
+        tried += [(planner._allow_narrow(), is_robust) for planner, is_robust in tried]
         # Before the first press, the center of mass may be almost anywhere, and so little may hang
         # over that only a press near the edge is left. It tells less than others, but enough for
         # more to hang over at the next one.
@@ -260,20 +271,27 @@ class WeighingPlanner(PreGraspPlanner):
             tried += [(nearest, True), (nearest, False), (nearest._suppose_lighter(belief), False)]
         # Where that leads to nothing, several presses that each tell little are better than none.
         asked = self.weighing.min_gain
-        known = calc_open(belief.covariance, self.weighing.sequence) <= ROUGHLY
+        known = (
+            calc_normalized_uncertainty(belief.covariance, self.weighing.sequence)
+            <= ROUGH_UNCERTAINTY
+        )
         accepted = asked if known else min(asked, SMALL_GAIN)
         little: list[PressChoice] = []
-        for planner, surely in tried:
+        for planner, is_robust in tried:
             planner = planner._accept_gain(accepted)
-            here = planner._find_press(pose, model, belief, surely)
+            here = planner._find_press(pose, model, belief, is_robust)
             # Slides end only nearly where they should, and the press should be possible all the
             # same.
             for room in SLIDE_ERRORS if may_slide else (0.0,):
-                rests = planner._list_rests(pose, model, belief, surely, room) if may_slide else []
-                much = planner._choose_presses(belief, here, rests, asked)
+                placements = (
+                    planner._list_placements(pose, model, belief, is_robust, room)
+                    if may_slide
+                    else []
+                )
+                much = planner._choose_presses(belief, here, placements, asked)
                 if much is not None:
                     yield much
-                some = planner._choose_presses(belief, here, rests, accepted)
+                some = planner._choose_presses(belief, here, placements, accepted)
                 if some is not None:
                     little.append(some)
         yield from little
@@ -282,10 +300,10 @@ class WeighingPlanner(PreGraspPlanner):
         self,
         belief: AbsoluteEstimate,
         here: PlannedPress | None,
-        rests: Sequence["PressPlacement"],
+        placements: Sequence["PressPlacement"],
         gain: float,
     ) -> "PressChoice | None":
-        """Chooses those presses that take away a share of what is open or more; None without any.
+        """Chooses presses that take away at least a fraction of what is open; None without any.
 
         A placement is chosen only if a press there tells sooner than one where the object lies.
         """
@@ -294,7 +312,7 @@ class WeighingPlanner(PreGraspPlanner):
             expected = self._calc_gain(belief, here)
             rate = _calc_rate(expected, 0)
             here = here if expected >= gain else None
-        telling = [one for one in rests if one.gain >= gain]
+        telling = [one for one in placements if one.gain >= gain]
         sooner = telling and (here is None or rate < telling[0].rate)
         placements = self._choose_placements(telling) if sooner else []
         if here is None and not placements:
@@ -307,15 +325,15 @@ class WeighingPlanner(PreGraspPlanner):
         """Decides on a push towards one of some goals where the object can be weighed."""
         return self._slide(pose, model, goals, "where it can be weighed") if goals else None
 
-    def suppose_heavier(self) -> "WeighingPlanner":
+    def suppose_heavier(self) -> "TiltTestPlanner":
         """Makes a planner that presses where less force would do.
 
         It is for an object that did not tilt with the greatest force, so that it is heavier, or its
         center of mass farther inside, than was supposed.
         """
-        return self._suppose(HEAVIER)
+        return self._suppose(MASS_INCREASE)
 
-    def stop_weighing(self, why: str) -> "WeighingPlanner":
+    def stop_weighing(self, why: str) -> "TiltTestPlanner":
         """Makes a planner that decides by what was weighed so far, and presses no more.
 
         Args:
@@ -330,30 +348,30 @@ class WeighingPlanner(PreGraspPlanner):
         """Height of the object's top, m."""
         return self.weighing.top or self.obj.height or DEFAULT_TOP
 
-    def _suppose_lighter(self, belief: AbsoluteEstimate) -> "WeighingPlanner":
+    def _suppose_lighter(self, belief: AbsoluteEstimate) -> "TiltTestPlanner":
         """Makes a planner that supposes a mass one standard deviation less than is believed."""
         std = float(np.sqrt(belief.covariance[LOG_MASS, LOG_MASS]))
         return self._suppose(float(np.exp(-std)))
 
-    def _allow_narrow(self) -> "WeighingPlanner":
+    def _allow_narrow(self) -> "TiltTestPlanner":
         """Makes a planner that presses on parts that are narrower than the finger, too."""
         other = copy(self)
         other.is_narrow = True
         return other
 
-    def _allow_short(self) -> "WeighingPlanner":
+    def _allow_short(self) -> "TiltTestPlanner":
         """Makes a planner that presses nearer to the edge, too."""
         other = copy(self)
         other.is_short = True
         return other
 
-    def _accept_gain(self, gain: float) -> "WeighingPlanner":
-        """Makes a planner that makes presses which take away a share of what is open, or more."""
+    def _accept_gain(self, gain: float) -> "TiltTestPlanner":
+        """Makes a planner whose presses take away at least a fraction of what is open."""
         other = copy(self)
         other.weighing = replace(self.weighing, min_gain=gain)
         return other
 
-    def _suppose(self, factor: float) -> "WeighingPlanner":
+    def _suppose(self, factor: float) -> "TiltTestPlanner":
         """Makes a planner that supposes a mass which is another one by a factor."""
         other = copy(self)
         other.mass_factor = self.mass_factor * factor
@@ -372,28 +390,30 @@ class WeighingPlanner(PreGraspPlanner):
         )
 
     def _calc_gain(self, belief: AbsoluteEstimate, planned: PlannedPress) -> float:
-        """Calculates the share of what is open that a press is expected to take away."""
+        """Calculates the fraction of what is open that a press is expected to take away."""
         options = self.weighing.sequence
-        now = calc_open(belief.covariance, options)
-        return 1 - calc_left_open(belief, planned, self._make_rules(belief), options) / now
+        now = calc_normalized_uncertainty(belief.covariance, options)
+        return (
+            1 - calc_remaining_uncertainty(belief, planned, self._make_rules(belief), options) / now
+        )
 
     def _find_press(
-        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, surely: bool
+        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, is_robust: bool
     ) -> PlannedPress | None:
         """Finds a press where the object lies now (3,); None where none is safe and tells much.
 
-        What `surely` means, `plan_press` says.
+        What `is_robust` means, `plan_press` says.
         """
         centers = model.masses.center_of_mass_polygon
         rules = self._make_rules(belief)
         for edge in list_edges(self.surface):
             if not self._hangs_over_only(edge, pose):
                 continue
-            planned = plan_press(self.obj, centers, pose, edge.line, self._top, rules, surely)
+            planned = plan_press(self.obj, centers, pose, edge.line, self._top, rules, is_robust)
             if planned is None or self._calc_gain(belief, planned) < self.weighing.min_gain:
                 continue
             if self._can_press(planned.target, pose):
-                return with_sure_force(planned, belief, rules)
+                return with_no_tip_force(planned, belief, rules)
         return None
 
     def _can_press(self, target: PressTarget, pose: Array) -> bool:
@@ -413,12 +433,12 @@ class WeighingPlanner(PreGraspPlanner):
         along = edge.line.calc_along(outline)
         return bool(along.min() >= room and along.max() <= edge.length - room)
 
-    def _list_rests(
+    def _list_placements(
         self,
         pose: Array,
         model: UncertainModel,
         belief: AbsoluteEstimate,
-        surely: bool = True,
+        is_robust: bool = True,
         room: float = 0.0,
     ) -> list["PressPlacement"]:
         """Lists poses at the edge at which a press tells much, those first that tell it soonest.
@@ -430,7 +450,7 @@ class WeighingPlanner(PreGraspPlanner):
             pose: (3,) where the object lies, X_WB, m and rad.
             model: what is known of it.
             belief: what is held of its mass and center of mass.
-            surely: see `plan_press`.
+            is_robust: see `plan_press`.
             room: how far off the object may lie, m, and the press is still possible.
         """
         masses = model.masses
@@ -442,7 +462,7 @@ class WeighingPlanner(PreGraspPlanner):
         telling = [
             (planned, self._calc_gain(belief, planned))
             for heading in calc_headings(self.obj, SOME_EDGE).tolist()
-            for planned in self._list_rests_at(heading, masses, rules, surely)
+            for planned in self._list_placements_at(heading, masses, rules, is_robust)
         ]
         found: list[PressPlacement] = []
         for edge in list_edges(self.surface):
@@ -450,7 +470,7 @@ class WeighingPlanner(PreGraspPlanner):
             upright = float(wrap_angle(pose[2] - edge.line.angle))
             unturned = [
                 (planned, self._calc_gain(belief, planned))
-                for planned in self._list_rests_at(upright, masses, rules, surely)
+                for planned in self._list_placements_at(upright, masses, rules, is_robust)
             ]
             along = float(edge.line.calc_along(pose[:2]))
             along = float(np.clip(along, CORNER_ROOM, max(edge.length - CORNER_ROOM, CORNER_ROOM)))
@@ -469,22 +489,24 @@ class WeighingPlanner(PreGraspPlanner):
         found.sort(key=lambda one: (not one.stable, -one.rate))
         return found
 
-    def _list_rests_at(
-        self, heading: float, masses: PlausibleMassSet, rules: PressRules, surely: bool
+    def _list_placements_at(
+        self, heading: float, masses: PlausibleMassSet, rules: PressRules, is_robust: bool
     ) -> list[PlannedPress]:
         """Lists how far the object may hang over `SOME_EDGE` with a heading, rad; see above."""
         centers = masses.center_of_mass_polygon
-        return list_rests(self.obj, centers, heading, SOME_EDGE, self._top, rules, surely=surely)
+        return list_placements(
+            self.obj, centers, heading, SOME_EDGE, self._top, rules, is_robust=is_robust
+        )
 
-    def _choose_placements(self, rests: Sequence["PressPlacement"]) -> list["PressPlacement"]:
+    def _choose_placements(self, placements: Sequence["PressPlacement"]) -> list["PressPlacement"]:
         """Chooses the first rests at which the arm can press, of different headings.
 
         Each of them tells about as soon as the first one. One push may be safe where another is
         not, and rests that are turned alike need about the same push.
         """
         chosen: list[PressPlacement] = []
-        for one in rests:
-            if len(chosen) == MAX_RESTS or (chosen and one.rate < LEAST_RATE * chosen[0].rate):
+        for one in placements:
+            if len(chosen) == MAX_PLACEMENTS or (chosen and one.rate < LEAST_RATE * chosen[0].rate):
                 break
             heading = one.goal.pose[2]
             if any(abs(heading - other.goal.pose[2]) < LIKE_HEADING for other in chosen):
@@ -494,7 +516,7 @@ class WeighingPlanner(PreGraspPlanner):
                 chosen.append(one)
         return chosen
 
-    def _ask_gain(self, gain: float) -> "WeighingPlanner":
+    def _ask_gain(self, gain: float) -> "TiltTestPlanner":
         """Makes a planner whose slides must bring the object nearer by a distance, m."""
         asking = copy(self)
         asking.options = replace(self.options, slide=replace(self.options.slide, min_gain=gain))
@@ -509,7 +531,7 @@ class WeighingPlanner(PreGraspPlanner):
         return PreGraspGoal(
             pose=planned.pose,
             part=(*self.parts, *self.flat_parts)[0],
-            overhang=target.calc_arm(np.array(target.place)),
+            overhang=target.calc_lever_arm(np.array(target.place)),
             margin=calc_stability_margin(masses, planned.pose, self.surface, inset),
             travel=float(calc_goal_error(self.obj, pose, planned.pose)),
             weakest=np.array([1.0, 0.0]),
@@ -535,7 +557,7 @@ def _calc_rate(gain: float, slides: int) -> float:
     """Calculates how fast a press tells, 1/s: the logarithm of what it leaves open, by time.
 
     Args:
-        gain: share of what is open that the press is expected to take away.
+        gain: fraction of what is open that the press is expected to take away.
         slides: number of slides to it.
     """
     return float(-np.log1p(-gain) / (PRESS_TIME + slides * SLIDE_TIME))
@@ -549,7 +571,7 @@ class PressPlacement:
         planned: the press.
         goal: that a slide goes to.
         stable: whether the object is stable there at the worst.
-        gain: share of what is open that the press is expected to take away.
+        gain: fraction of what is open that the press is expected to take away.
         rate: how fast the press tells, with the slides to it, 1/s.
     """
 
@@ -571,7 +593,7 @@ class PressChoice:
             it; the best first.
     """
 
-    planner: WeighingPlanner
+    planner: TiltTestPlanner
     here: PlannedPress | None
     placements: tuple[PressPlacement, ...]
 

@@ -17,7 +17,7 @@ from .random_scenes import HiddenRanges as HiddenRanges
 from .random_scenes import heap_up as heap_up
 from .random_scenes import hide as hide
 from .random_scenes import scatter as scatter
-from .rearrangement import FINE as FINE
+from .rearrangement import FINE_OPTIONS as FINE_OPTIONS
 from .rearrangement import RearrangeOptions as RearrangeOptions
 from .rearrangement import RearrangePlanner as RearrangePlanner
 from .rearrangement import check_goals as check_goals

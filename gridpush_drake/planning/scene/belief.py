@@ -27,7 +27,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.goal.next_push import RobustnessOptions, draw_model_samples
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 
-DRAWS = 4
+DEFAULT_DRAW_COUNT = 4
 """Number of further models by default."""
 
 LOAD_STD = 0.5
@@ -84,7 +84,7 @@ class SceneBelief:
         objects: Sequence[GridObject],
         *,
         pair_friction: float = DEFAULT_PAIR_FRICTION,
-        draws: int = DRAWS,
+        draws: int = DEFAULT_DRAW_COUNT,
         seed: int = 0,
     ) -> "SceneBelief":
         """Makes what is believed before any push.
@@ -123,7 +123,7 @@ class SceneBelief:
 
     @classmethod
     def of_identification(
-        cls, found: JointIdentification, *, draws: int = DRAWS, seed: int = 0
+        cls, found: JointIdentification, *, draws: int = DEFAULT_DRAW_COUNT, seed: int = 0
     ) -> "SceneBelief":
         """Makes what is believed after pushes were learned from.
 

@@ -43,26 +43,26 @@ from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-POKE = "poke"
-SLIDE = "slide"
-CLEAR = "clear"
+POKE_KIND = "poke"
+SLIDE_KIND = "slide"
+CLEARING_KIND = "clear"
 """Kinds of pushes, as a decision's `kind` names them."""
 
 ROWS_APART = 4
 """Number of steps of a simulated push from one state in which the room is measured to the next."""
 
-SHORE = 0.12
+EDGE_ZONE = 0.12
 """Other objects that lie nearer than this to the table's edge may be in the way later, m."""
 
-SHORE_SHARE = 0.3
-"""Cost of a meter by which another object is nearer to the edge than `SHORE`, as a share of the
-cost of a meter of lacking room."""
+SHORE_FRACTION = 0.3
+"""Cost of a meter by which another object is nearer to the edge than `EDGE_ZONE`, as a fraction of
+the cost of a meter of lacking room."""
 
-BLOCKED = 10.0
+BLOCKED_COST = 10.0
 """Cost of a way to the edge that a post blocks, as an additional length of way, m: the object has
 to be slid around the post."""
 
-SMALL = 1e-3
+MIN_LACKING_CLEARANCE = 1e-3
 """Nothing is cleared away if no more room than this is lacking, m."""
 
 
@@ -170,14 +170,14 @@ class FetchPlanner:
         outlines = place_outlines(self.objects, poses)
         way = self._choose_way(poses, model, outlines)
         lacking = self._calc_lacking(poses[None], way, self.options.room)[0]
-        if lacking.max(initial=0.0) <= SMALL:
+        if lacking.max(initial=0.0) <= MIN_LACKING_CLEARANCE:
             # The way is free: what is left is one object's business.
             decision = self._decide_alone(poses, model, outlines, steps)
             if decision.action != "fail":
                 return self._translate(decision, poses)
             # It may need yet more room, where something is nearer than twice as far.
             wider = self._calc_lacking(poses[None], way, 2 * self.options.room)[0]
-            if wider.max(initial=0.0) <= SMALL:
+            if wider.max(initial=0.0) <= MIN_LACKING_CLEARANCE:
                 return SceneDecision(SceneAction.FAIL, decision.reason, body=self.wanted)
             return self._clear(poses, belief, steps, way, 2 * self.options.room)
         clearing = self._clear(poses, belief, steps, way, self.options.room)
@@ -218,7 +218,7 @@ class FetchPlanner:
             cost = goal.travel + float(lacking.sum())
             # What is fixed on a way cannot be cleared from it.
             blocked = any(way.distance(post) < OBSTACLE_MARGIN for post in self.rules.posts)
-            cost += BLOCKED if blocked else 0.0
+            cost += BLOCKED_COST if blocked else 0.0
             ways.append((cost, way))
         return min(ways, key=lambda each: each[0])[1]
 
@@ -248,9 +248,9 @@ class FetchPlanner:
         room: float,
     ) -> SceneDecision:
         """Decides on a push that makes room around a way."""
-        made = sum(step.decision.kind == CLEAR for step in steps)
+        made = sum(step.decision.kind == CLEARING_KIND for step in steps)
         lacking = self._calc_lacking(poses[None], way, room)[0]
-        bodies = [int(b) for b in np.flatnonzero(lacking > SMALL)]
+        bodies = [int(b) for b in np.flatnonzero(lacking > MIN_LACKING_CLEARANCE)]
         names = ", ".join(describe_object(self.objects, b) for b in bodies)
         wanted = describe_object(self.objects, self.wanted)
         if made >= self.options.max_clearing:
@@ -267,8 +267,8 @@ class FetchPlanner:
             left = self.options.per_length * missing.sum(axis=1)
             left += self.options.base * (missing > self.options.spare).sum(axis=1)
             # near the edge everything is in the way sooner or later
-            outward = np.maximum(SHORE - search.room.calc_edge_distances(some[rows]), 0.0)
-            left += SHORE_SHARE * self.options.per_length * outward.sum(axis=1)
+            outward = np.maximum(EDGE_ZONE - search.room.calc_edge_distances(some[rows]), 0.0)
+            left += SHORE_FRACTION * self.options.per_length * outward.sum(axis=1)
             # the wanted object should stay where it is
             moved = np.linalg.norm(some[rows, self.wanted, :2] - start[:2], axis=1)
             turned = np.abs(some[rows, self.wanted, 2] - start[2])
@@ -294,7 +294,7 @@ class FetchPlanner:
             push=found.push,
             body=found.body,
             expected=found.poses,
-            kind=CLEAR,
+            kind=CLEARING_KIND,
         )
 
     def _decide_alone(
@@ -307,8 +307,8 @@ class FetchPlanner:
         """Decides as if the other objects were fixed obstacles."""
         others = [outlines[b] for b in range(len(poses)) if b != self.wanted]
         others += self.rules.posts
-        pokes = sum(step.decision.kind == POKE for step in steps if not step.refused)
-        slides = sum(step.decision.kind == SLIDE for step in steps if not step.refused)
+        pokes = sum(step.decision.kind == POKE_KIND for step in steps if not step.refused)
+        slides = sum(step.decision.kind == SLIDE_KIND for step in steps if not step.refused)
         planner = PreGraspPlanner(
             self.objects[self.wanted],
             self.surface,

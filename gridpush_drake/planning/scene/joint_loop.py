@@ -28,7 +28,7 @@ from gridpush_drake.planning.closed_loop import (
     Observation,
     PoseFilter,
 )
-from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
+from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp
 from gridpush_drake.planning.robot_status import GraspOutcome
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import (
@@ -71,7 +71,7 @@ class SceneStatus(Unchanging):
         body: number of the object that is pushed or grasped; -1 for none.
         kind: what the push is for, in a word; empty in tasks with one kind of pushes.
         expected_pose: None; where a push is expected to leave the objects is in its decision.
-        surprises: 0, since no push of several objects is judged yet.
+        innovations: 0, since no push of several objects is judged yet.
         surprise: empty.
     """
 
@@ -81,7 +81,7 @@ class SceneStatus(Unchanging):
     body: int = -1
     kind: str = ""
     expected_pose: None = None
-    surprises: int = 0
+    innovations: int = 0
     surprise: str = ""
 
     @property

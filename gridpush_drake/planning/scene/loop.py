@@ -18,12 +18,12 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.identification.joint_fit import NOISE, identify_together
 from gridpush_drake.identification.model import Model
-from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.units import MM_PER_M
 
 
 class SceneAction(StrEnum):
@@ -193,6 +193,7 @@ def describe_no_room(objects: Sequence[GridObject], bodies: Sequence[int], radiu
     others = ", ".join(describe_object(objects, b) for b in range(len(objects)) if b not in bodies)
     between = f", between {others}" if others else ""
     return (
-        f"{names}: no place was found where a finger of {radius * MM:g} mm fits beside it and can "
+        f"{names}: no place was found where a finger of {radius * MM_PER_M:g} mm fits beside it "
+        "and can "
         f"push it{between}"
     )

@@ -24,11 +24,11 @@ CONTACT_FRICTION_RANGE = (0.35, 0.65)
 PAIR_FRICTION_RANGE = (0.1, 0.5)
 """Least and greatest friction of two objects against each other."""
 
-BOX = 0.22
+MAX_ORIGIN_OFFSET = 0.22
 """Greatest distance of an object's origin from the middle, along x and y, m; it grows where the
 objects do not fit."""
 
-GROW = 1.02
+BOX_GROWTH = 1.02
 """Factor by which it grows with each place that does not fit."""
 
 HEAP_GAP = 0.0015
@@ -79,7 +79,7 @@ def scatter(
     rng: np.random.Generator,
     gap: float,
     largest: float,
-    box: float = BOX,
+    box: float = MAX_ORIGIN_OFFSET,
 ) -> Array:
     """Draws poses of objects beside each other.
 
@@ -102,7 +102,7 @@ def scatter(
             outline = transform_shape(pose, obj.outline)
             if taken.is_empty or outline.distance(taken) >= gap:
                 break
-            box = min(box * GROW, largest)
+            box = min(box * BOX_GROWTH, largest)
         poses.append(pose)
         taken = shapely.union(taken, outline)
     return np.array(poses)

@@ -41,7 +41,6 @@ from gridpush_drake.geometry.se2 import (
     transform_shape,
     wrap_angle,
 )
-from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import (
@@ -50,28 +49,34 @@ from gridpush_drake.planning.scene.loop import (
     SceneStep,
     describe_no_room,
 )
-from gridpush_drake.planning.scene.rules import ANYWHERE, POST_MARGIN, SceneRules, place_outlines
+from gridpush_drake.planning.scene.rules import (
+    POST_MARGIN,
+    UNCONSTRAINED,
+    SceneRules,
+    place_outlines,
+)
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
+from gridpush_drake.units import MM_PER_M
 
 GOAL_GAP = 0.002
 """An object that is nearer than this to another one's goal lies in it, m."""
 
-ASIDE_ROOM = 0.03
+BUFFER_CLEARANCE = 0.03
 """Distance from everything else at which an object that is put aside should lie, m."""
 
-ASIDE_STEP = 0.03
+BUFFER_STEP = 0.03
 """Distance between rings on which a place aside is looked for, m."""
 
-ASIDE_RINGS = 16
+BUFFER_RINGS = 16
 """Number of these rings."""
 
-ASIDE_PLACES = 16
+BUFFER_PLACES = 16
 """Number of places on each of them."""
 
-ASIDE_REACHED = 0.015
+BUFFER_TOLERANCE = 0.015
 """Distance at which an object counts as put aside, m."""
 
-PATIENCE = 4
+MAX_STALL_PUSHES = 4
 """Pushes after the best state so far from which on what lies on the way is moved aside, for as many
 pushes."""
 
@@ -84,11 +89,11 @@ class RearrangeOptions:
         position_tolerance: distance of the cells' centroid from where it should be within which a
             goal is reached, m.
         angle_tolerance: turn from the goal within which it is reached, rad.
-        hit: share of the tolerances within which a push is planned to end.
+        goal_fraction: fraction of the tolerances within which a push is planned to end.
         base: what an object that is not at its goal costs in any case, s.
         per_length: what a meter to go costs, s/m.
         per_root: what the square root of a meter to go costs, s.
-        waiting: how much an object that waits weighs, against 1.
+        blocked: how much an object that waits weighs, against 1.
         longest: how much farther than the farthest object has to go a push may be, as a factor.
         search: how pushes are searched for.
 
@@ -98,11 +103,11 @@ class RearrangeOptions:
 
     position_tolerance: float = 0.02
     angle_tolerance: float = 0.2
-    hit: float = 0.7
+    goal_fraction: float = 0.7
     base: float = 5.0
     per_length: float = 100.0
     per_root: float = 20.0
-    waiting: float = 0.1
+    blocked: float = 0.1
     longest: float = 1.5
     search: SceneSearchOptions = field(default_factory=SceneSearchOptions)
 
@@ -111,7 +116,7 @@ class RearrangeOptions:
             PlanningError,
             position_tolerance=self.position_tolerance,
             angle_tolerance=self.angle_tolerance,
-            hit=self.hit,
+            goal_fraction=self.goal_fraction,
             base=self.base,
             per_length=self.per_length,
             per_root=self.per_root,
@@ -119,7 +124,7 @@ class RearrangeOptions:
         )
 
 
-FINE = RearrangeOptions(position_tolerance=0.005, angle_tolerance=float(np.radians(3.0)))
+FINE_OPTIONS = RearrangeOptions(position_tolerance=0.005, angle_tolerance=float(np.radians(3.0)))
 """Goals within 5 mm and 3 degrees."""
 
 
@@ -130,12 +135,12 @@ class Targets:
     Attributes:
         poses: (N, 3) target poses; NaN where an object may lie anywhere.
         weights: (N,) how much what is left for each object weighs.
-        aside: (N,) whether it is put aside: its heading does not matter, and it goes first.
+        is_buffered: (N,) whether it is put aside: its heading does not matter, and it goes first.
     """
 
     poses: Array
     weights: Array
-    aside: NDArray[np.bool_]
+    is_buffered: NDArray[np.bool_]
 
 
 class RearrangePlanner:
@@ -153,7 +158,7 @@ class RearrangePlanner:
         objects: Sequence[GridObject],
         goals: ArrayLike,
         options: RearrangeOptions | None = None,
-        rules: SceneRules = ANYWHERE,
+        rules: SceneRules = UNCONSTRAINED,
         *,
         seed: int = 0,
     ) -> None:
@@ -238,10 +243,10 @@ class RearrangePlanner:
             return SceneDecision(SceneAction.FAIL, describe_no_room(self.objects, bodies, radius))
         left = len(poses) - int(reached.sum())
         name = describe_object(self.objects, found.body)
-        going = "aside" if targets.aside[found.body] else "towards its goal"
+        active = "aside" if targets.is_buffered[found.body] else "towards its goal"
         return SceneDecision(
             SceneAction.PUSH,
-            f"{name} {going}, {left} of {len(poses)} not at their goals yet",
+            f"{name} {active}, {left} of {len(poses)} not at their goals yet",
             push=found.push,
             body=found.body,
             expected=found.poses,
@@ -260,11 +265,15 @@ class RearrangePlanner:
         """
         options = self.options
         distance, turn = self._calc_differences(poses, targets.poses)
-        turn = np.where(targets.aside, 0.0, turn)
+        turn = np.where(targets.is_buffered, 0.0, turn)
         d = np.hypot(along * distance, np.array(self._arms) * turn)
         # where it should end, with a little to spare
-        position = np.where(targets.aside, ASIDE_REACHED, options.hit * options.position_tolerance)
-        missed = (distance > position) | (turn > options.hit * options.angle_tolerance)
+        position = np.where(
+            targets.is_buffered,
+            BUFFER_TOLERANCE,
+            options.goal_fraction * options.position_tolerance,
+        )
+        missed = (distance > position) | (turn > options.goal_fraction * options.angle_tolerance)
         left = options.base * missed + options.per_length * d + options.per_root * np.sqrt(d)
         wanted = np.isfinite(targets.poses[:, 0])
         return np.asarray((np.where(wanted, left, 0.0) * targets.weights).sum(axis=-1))
@@ -273,26 +282,26 @@ class RearrangePlanner:
         """Chooses where each object should go now: to its goal, aside, or nowhere yet."""
         n = len(poses)
         weights = np.ones(n)
-        aside = np.zeros(n, dtype=bool)
+        is_buffered = np.zeros(n, dtype=bool)
         to = self.goals.copy()
         outlines = place_outlines(self.objects, poses)
-        waiting = self._find_waiting(poses, outlines)
-        going = ~self.find_reached(poses) & ~waiting
-        weights[waiting] = self.options.waiting
+        blocked = self._find_blocked(poses, outlines)
+        active = ~self.find_reached(poses) & ~blocked
+        weights[blocked] = self.options.blocked
 
         # Who lies in the way of others, and has nowhere to go itself?
         in_the_way: list[int] = []
-        if waiting.any() and not going.any():
-            in_the_way = self._pick_from_circle(waiting, outlines)
+        if blocked.any() and not active.any():
+            in_the_way = self._pick_from_circle(blocked, outlines)
         elif self._is_stuck(poses, steps):
-            in_the_way = self._find_on_the_way(poses, going, outlines)
+            in_the_way = self._find_on_the_way(poses, active, outlines)
         for body in in_the_way:
-            place = self._find_place_aside(body, poses, outlines)
+            place = self._find_buffer_place(body, poses, outlines)
             if place is not None:
                 to[body] = place
-                aside[body] = True
+                is_buffered[body] = True
                 weights[body] = 1.0
-        return Targets(to, weights, aside)
+        return Targets(to, weights, is_buffered)
 
     def _calc_differences(self, poses: Array, to: Array) -> tuple[Array, Array]:
         """Distances and turns (..., N) of poses (..., N, 3) from others (N, 3), m and rad."""
@@ -304,15 +313,15 @@ class RearrangePlanner:
         turn = np.abs(wrap_angle(poses[..., 2] - to[:, 2]))
         return np.stack(distances, axis=-1), np.asarray(turn)
 
-    def _find_waiting(self, poses: Array, outlines: NDArray[np.object_]) -> NDArray[np.bool_]:
+    def _find_blocked(self, poses: Array, outlines: NDArray[np.object_]) -> NDArray[np.bool_]:
         """Finds the objects in whose goals others lie that are not at their own goals."""
         reached = self.find_reached(poses)
-        waiting = np.zeros(len(poses), dtype=bool)
+        blocked = np.zeros(len(poses), dtype=bool)
         for i in np.flatnonzero(~reached):
-            waiting[i] = any(
+            blocked[i] = any(
                 not (reached[j] and self._has_goal[j]) for j in self._find_in_goal(int(i), outlines)
             )
-        return waiting
+        return blocked
 
     def _find_in_goal(self, body: int, outlines: NDArray[np.object_]) -> list[int]:
         """Lists the objects that lie in another one's goal."""
@@ -322,10 +331,10 @@ class RearrangePlanner:
         return [int(j) for j in np.flatnonzero(near)]
 
     def _pick_from_circle(
-        self, waiting: NDArray[np.bool_], outlines: NDArray[np.object_]
+        self, blocked: NDArray[np.bool_], outlines: NDArray[np.object_]
     ) -> list[int]:
         """Picks which object goes aside, where all that have a goal wait for each other."""
-        blockers = [self._find_in_goal(int(i), outlines) for i in np.flatnonzero(waiting)]
+        blockers = [self._find_in_goal(int(i), outlines) for i in np.flatnonzero(blocked)]
         # One without a goal of its own, or else the one that most others wait for.
         named = [j for each in blockers for j in each]
         free = [j for j in named if not self._has_goal[j]]
@@ -334,21 +343,21 @@ class RearrangePlanner:
         return [max(sorted(set(named)), key=named.count)]
 
     def _is_stuck(self, poses: Array, steps: Sequence[SceneStep]) -> bool:
-        """Says whether nothing got better for `PATIENCE` pushes, for as many pushes after that."""
+        """Says whether nothing got better for `MAX_STALL_PUSHES` pushes; for as many after that."""
         if not steps:
             return False
         # what was left in each state that was seen, as if every object went to its goal
         every = Targets(self.goals, np.ones(len(poses)), np.zeros(len(poses), dtype=bool))
         states = np.array([*(step.poses for step in steps), poses])
         since = len(states) - 1 - int(np.argmin(self.calc_cost(states, every)))
-        return since >= PATIENCE and (since // PATIENCE) % 2 == 1
+        return since >= MAX_STALL_PUSHES and (since // MAX_STALL_PUSHES) % 2 == 1
 
     def _find_on_the_way(
-        self, poses: Array, going: NDArray[np.bool_], outlines: NDArray[np.object_]
+        self, poses: Array, active: NDArray[np.bool_], outlines: NDArray[np.object_]
     ) -> list[int]:
         """Finds what lies between an object and its goal: that of the object with least to go."""
         distance, _ = self.calc_errors(poses)
-        for i in sorted(np.flatnonzero(going).tolist(), key=lambda body: float(distance[body])):
+        for i in sorted(np.flatnonzero(active).tolist(), key=lambda body: float(distance[body])):
             goal = transform_shape(self.goals[i], self.objects[i].outline)
             way = shapely.union(outlines[i], goal).convex_hull
             others: NDArray[np.bool_] = np.asarray(shapely.distance(outlines, way) < GOAL_GAP)
@@ -357,7 +366,7 @@ class RearrangePlanner:
                 return [int(j) for j in np.flatnonzero(others)]
         return []
 
-    def _find_place_aside(
+    def _find_buffer_place(
         self, body: int, poses: Array, outlines: NDArray[np.object_]
     ) -> Array | None:
         """Finds the nearest place where an object is in nobody's way: a pose (3,), or None."""
@@ -372,11 +381,11 @@ class RearrangePlanner:
         table = self.rules.surface
         room = None if table is None else table.polygon.buffer(-self.rules.edge_margin)
         # Rings around where it lies, from the inside out.
-        for ring in range(1, ASIDE_RINGS + 1):
-            angles = 2 * np.pi * np.arange(ASIDE_PLACES) / ASIDE_PLACES
-            for dx, dy in (ring * ASIDE_STEP * make_direction(angles)).tolist():
+        for ring in range(1, BUFFER_RINGS + 1):
+            angles = 2 * np.pi * np.arange(BUFFER_PLACES) / BUFFER_PLACES
+            for dx, dy in (ring * BUFFER_STEP * make_direction(angles)).tolist():
                 there = translate(outlines[body], dx, dy)
-                if shapely.distance(there, taken) < ASIDE_ROOM:
+                if shapely.distance(there, taken) < BUFFER_CLEARANCE:
                     continue
                 if room is None or shapely.covers(room, there):
                     return np.asarray(poses[body] + [dx, dy, 0.0])
@@ -386,13 +395,13 @@ class RearrangePlanner:
         """Lists the objects that pushes begin at: those put aside, or else those that go."""
         # What is put aside goes first, for the others wait for it.
         distance, _ = self._calc_differences(poses, targets.poses)
-        aside = targets.aside & (distance > ASIDE_REACHED)
-        if aside.any():
-            return [int(b) for b in np.flatnonzero(aside)]
-        going = ~self.find_reached(poses) & (targets.weights == 1.0) & ~targets.aside
-        if not going.any():
-            going = ~self.find_reached(poses)
-        return [int(b) for b in np.flatnonzero(going)]
+        is_buffered = targets.is_buffered & (distance > BUFFER_TOLERANCE)
+        if is_buffered.any():
+            return [int(b) for b in np.flatnonzero(is_buffered)]
+        active = ~self.find_reached(poses) & (targets.weights == 1.0) & ~targets.is_buffered
+        if not active.any():
+            active = ~self.find_reached(poses)
+        return [int(b) for b in np.flatnonzero(active)]
 
     def _calc_farthest(self, poses: Array, targets: Targets, bodies: Sequence[int]) -> float:
         """Calculates the farthest that one of some objects has to go, m."""
@@ -411,7 +420,7 @@ REACH_ON = 0.02
 def check_goals(
     objects: Sequence[GridObject],
     goals: Array,
-    rules: SceneRules = ANYWHERE,
+    rules: SceneRules = UNCONSTRAINED,
     fields: Sequence[str] | None = None,
 ) -> None:
     """Checks that goals are beside each other and beside posts, and on the table.
@@ -447,7 +456,7 @@ def check_goals(
             if placed[i].distance(post) < POST_MARGIN:
                 raise PlanningError(
                     f"{begin}{name_goal(i)} is nearer to posts[{number}] than "
-                    f"{POST_MARGIN * MM:g} mm; expected a pose beside it"
+                    f"{POST_MARGIN * MM_PER_M:g} mm; expected a pose beside it"
                 )
     if rules.surface is None:
         return
@@ -456,5 +465,5 @@ def check_goals(
         if not room.covers(placed[i]):
             raise PlanningError(
                 f"{begin}{name_goal(i)} is nearer to the table's edge than "
-                f"{rules.edge_margin * MM:g} mm; expected a pose well on the table"
+                f"{rules.edge_margin * MM_PER_M:g} mm; expected a pose well on the table"
             )

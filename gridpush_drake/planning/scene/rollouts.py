@@ -12,7 +12,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.scene.records import PusherPath
-from gridpush_drake.dynamics.kernels.step import CONVERGED
+from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.push import Push, make_path_times, measure_steps
 from gridpush_drake.dynamics.scene.kernel_call import (
     make_bodies,
@@ -55,9 +55,9 @@ class Rollout:
         """
         low = np.floor(places).astype(int)
         high = np.minimum(low + 1, len(self.traveled) - 1)
-        share = places - low
-        traveled = (1.0 - share) * self.traveled[low] + share * self.traveled[high]
-        part = share[:, None, None]
+        fraction = places - low
+        traveled = (1.0 - fraction) * self.traveled[low] + fraction * self.traveled[high]
+        part = fraction[:, None, None]
         return traveled, (1.0 - part) * self.poses[low] + part * self.poses[high]
 
 
@@ -120,7 +120,7 @@ class SceneRollouts:
             J=self._no_derivatives,
         )
         with_pusher = steps.ids[:, :, 1] < 0
-        solved = bool((steps.statuses[:, 0] == CONVERGED).all()) and contacts.lost[0] == 0
+        solved = bool((steps.statuses[:, 0] == STEP_CONVERGED).all()) and contacts.lost[0] == 0
         return Rollout(
             poses=steps.poses,
             traveled=push.distance_at(times),

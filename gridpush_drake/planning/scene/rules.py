@@ -21,13 +21,13 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.push_constraints import PushRule, make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 
-FREE = 1e-4
+START_CLEARANCE = 1e-4
 """Distance of the pusher from every outline, beyond its clearance, where a push begins, m."""
 
-SLACK = 1e-6
+CONSTRAINT_SLACK = 1e-6
 """By how much a rule may be broken, m, for round-off."""
 
-NEARER = 0.01
+MAX_EDGE_APPROACH = 0.01
 """By how much nearer to the table's edge a push may bring an object that is near it already, m. It
 could hardly be turned otherwise."""
 
@@ -48,8 +48,9 @@ class SceneRules:
     Attributes:
         surface: the table; None for one without end.
         edge_margin: how far inside the table's edge every object must stay, m. One that is nearer
-            already may come nearer still by `NEARER`, but not nearer than `LEAST_MARGIN`. While all
-            of an object is over the table, it stays whatever its masses are.
+            already may come nearer still by `MAX_EDGE_APPROACH`, but not nearer than
+            `LEAST_MARGIN`. While all of an object is over the table, it stays whatever its masses
+            are.
         leeway: by how much nearer to the edge an object may come by a further model, m.
         finger_overhang: how far beyond the edge the finger's center may be, m.
         finger_region: where the finger's center may be, W; None for anywhere.
@@ -72,7 +73,7 @@ class SceneRules:
         return self.push_rule is None or self.push_rule(push)
 
 
-ANYWHERE = SceneRules()
+UNCONSTRAINED = SceneRules()
 """The rules of a table without end and a finger that comes everywhere."""
 
 
@@ -97,7 +98,7 @@ class SceneRoom:
         rules: what no push may do.
     """
 
-    def __init__(self, objects: Sequence[GridObject], rules: SceneRules = ANYWHERE) -> None:
+    def __init__(self, objects: Sequence[GridObject], rules: SceneRules = UNCONSTRAINED) -> None:
         """Makes the shapes that poses are judged with."""
         self.objects = objects
         self.rules = rules
@@ -148,7 +149,7 @@ class SceneRoom:
         Returns:
             (K,).
         """
-        room = radius + FREE
+        room = radius + START_CLEARANCE
         fits = np.ones(len(starts), dtype=bool)
         points = shapely.points(starts)
         for pose, obj in zip(poses, self.objects, strict=True):
@@ -179,10 +180,10 @@ class SceneRoom:
         """
         # The table's edge: whoever is near it already may come a little nearer.
         inside = self.calc_edge_distances(poses[None])[0]
-        near = np.maximum(inside - NEARER, np.minimum(inside, LEAST_MARGIN))
-        edge = np.minimum(near, self.rules.edge_margin) - SLACK
+        near = np.maximum(inside - MAX_EDGE_APPROACH, np.minimum(inside, LEAST_MARGIN))
+        edge = np.minimum(near, self.rules.edge_margin) - CONSTRAINT_SLACK
         # Posts: whoever is near one already may come no nearer.
-        posts = np.minimum(self.calc_post_distances(poses[None])[0], POST_MARGIN) - SLACK
+        posts = np.minimum(self.calc_post_distances(poses[None])[0], POST_MARGIN) - CONSTRAINT_SLACK
         if further:
             edge -= self.rules.leeway
             posts -= POST_LEEWAY

@@ -49,11 +49,11 @@ class PushStop:
 
 def cut_push(push: Push, distance: float) -> Push:
     """Returns the beginning of a straight push, up to a distance, m."""
-    share = min(distance / push.length, 1.0)
+    fraction = min(distance / push.length, 1.0)
     return Push(
         start=push.start,
         velocity=push.velocity,
-        duration=push.duration * share,
+        duration=push.duration * fraction,
         radius=push.radius,
         start_tangent=push.start_tangent,
     )

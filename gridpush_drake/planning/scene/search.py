@@ -27,7 +27,13 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.rollouts import Rollout, SceneRollouts, roll_models
-from gridpush_drake.planning.scene.rules import ANYWHERE, SLACK, RoomLimits, SceneRoom, SceneRules
+from gridpush_drake.planning.scene.rules import (
+    CONSTRAINT_SLACK,
+    UNCONSTRAINED,
+    RoomLimits,
+    SceneRoom,
+    SceneRules,
+)
 from gridpush_drake.planning.scene.scene_push import PushStop, ScenePush, cut_push
 
 CostToGo = Callable[[Array], Array]
@@ -41,13 +47,13 @@ STOPS_A_STEP = 6
 """Number of places between two steps of a simulation at which a push may stop: every 0.5 mm."""
 
 PLACE_SPREAD = 0.03
-"""Standard deviation of the place of a push that is varied, as a share of the perimeter."""
+"""Standard deviation of the place of a push that is varied, as a fraction of the perimeter."""
 
 ANGLE_SPREAD = 0.15
 """Standard deviation of the angle of a push that is varied, rad."""
 
-FINER = 3
-"""The later half of the variations is smaller by the factor 1 + FINER."""
+REFINEMENT_FACTOR = 3
+"""The later half of the variations is smaller by the factor 1 + REFINEMENT_FACTOR."""
 
 
 SEARCH_PUSHER = Pusher(speed=0.05, clearance=0.003)
@@ -118,7 +124,7 @@ class SceneSearch:
     def __init__(
         self,
         belief: SceneBelief,
-        rules: SceneRules = ANYWHERE,
+        rules: SceneRules = UNCONSTRAINED,
         options: SceneSearchOptions | None = None,
     ) -> None:
         """Prepares simulations by all models."""
@@ -229,8 +235,10 @@ class SceneSearch:
         for each in best:
             perimeter = self.belief.objects[each.body].edges.perimeter
             for i in range(self.options.variations):
-                share = PLACE_SPREAD / (1 + (i >= self.options.variations // 2) * FINER)
-                place = each.arc_length + share * perimeter * rng.standard_normal()
+                fraction = PLACE_SPREAD / (
+                    1 + (i >= self.options.variations // 2) * REFINEMENT_FACTOR
+                )
+                place = each.arc_length + fraction * perimeter * rng.standard_normal()
                 turned = each.angle + ANGLE_SPREAD * rng.standard_normal()
                 angle = float(np.clip(turned, -self.options.slant, self.options.slant))
                 drawn.append((each.body, float(place), angle))
@@ -304,7 +312,7 @@ class SceneSearch:
         if not allowed_rows.all():
             last = int(np.argmin(allowed_rows))
         least = self.options.pusher.clearance + self.options.lengths[0]
-        first = int(np.searchsorted(rollout.traveled, least - SLACK))
+        first = int(np.searchsorted(rollout.traveled, least - CONSTRAINT_SLACK))
         if first >= last:
             return None
         # the best of the steps, and then of places between it and those beside it

@@ -22,7 +22,6 @@ from gridpush_drake.dynamics.bodies import describe_object
 from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape
-from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import (
@@ -31,20 +30,21 @@ from gridpush_drake.planning.scene.loop import (
     SceneStep,
     describe_no_room,
 )
-from gridpush_drake.planning.scene.rules import ANYWHERE, SceneRules
+from gridpush_drake.planning.scene.rules import UNCONSTRAINED, SceneRules
 from gridpush_drake.planning.scene.scene_push import ScenePush
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
+from gridpush_drake.units import MM_PER_M
 
-MARGIN = 0.03
+WANTED_CLEARANCE = 0.03
 """Room that every object should have around it, m."""
 
-SPARE = 0.003
+EXTRA_CLEARANCE = 0.003
 """By how much more room a push is planned to make, m: it never ends quite where it should."""
 
 PER_LENGTH = 100.0
 """What a meter of room that an object lacks costs, s/m."""
 
-LACKING = 2.0
+LACKING_COST = 2.0
 """What an object that lacks room costs in any case, s."""
 
 ROWS_APART = 5
@@ -75,7 +75,7 @@ class SeparationOptions:
         PlanningError: the margin is not positive.
     """
 
-    margin: float = MARGIN
+    margin: float = WANTED_CLEARANCE
     search: SceneSearchOptions = ONE_AHEAD
 
     def __post_init__(self) -> None:
@@ -95,7 +95,7 @@ class SeparatePlanner:
         self,
         objects: Sequence[GridObject],
         options: SeparationOptions | None = None,
-        rules: SceneRules = ANYWHERE,
+        rules: SceneRules = UNCONSTRAINED,
         *,
         seed: int = 0,
     ) -> None:
@@ -118,7 +118,7 @@ class SeparatePlanner:
         """Decides what to do next; see `ScenePlanner`."""
         clearances = calc_clearances(self.objects, poses)
         lacking = [int(b) for b in np.flatnonzero(clearances < self.options.margin)]
-        room = f"{self.options.margin * MM:g} mm"
+        room = f"{self.options.margin * MM_PER_M:g} mm"
         if not lacking:
             return SceneDecision(SceneAction.DONE, f"every object has {room} around it")
         found = self._find_push(poses, belief, lacking, (self._seed, len(steps)))
@@ -150,8 +150,8 @@ class SeparatePlanner:
         # of a few states along a push; in between it changes evenly
         rows = np.unique(np.append(np.arange(0, len(poses), ROWS_APART), len(poses) - 1))
         apart = calc_clearances_along(self.objects, poses[rows])
-        wanted = self.options.margin + SPARE
-        left = PER_LENGTH * np.maximum(wanted - apart, 0.0) + LACKING * (apart < wanted)
+        wanted = self.options.margin + EXTRA_CLEARANCE
+        left = PER_LENGTH * np.maximum(wanted - apart, 0.0) + LACKING_COST * (apart < wanted)
         return np.interp(np.arange(len(poses)), rows, left.sum(axis=1))
 
 

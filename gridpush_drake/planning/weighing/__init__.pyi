@@ -1,7 +1,7 @@
 from .plan import Edge as Edge
 from .plan import PlannedPress as PlannedPress
 from .plan import PressRules as PressRules
-from .plan import list_rests as list_rests
+from .plan import list_placements as list_placements
 from .plan import plan_press as plan_press
 from .press import PressOptions as PressOptions
 from .press import PressOutcome as PressOutcome

@@ -42,7 +42,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.pushes.weighings import EDGE_STD
 
-FAR = 10.0
+EDGE_LINE_HALF_LENGTH = 10.0
 """Half the length of the line that stands for an edge, m."""
 
 
@@ -159,7 +159,7 @@ def plan_press(
     edge: Edge,
     top: float,
     rules: PressRules | None = None,
-    surely: bool = True,
+    is_robust: bool = True,
 ) -> PlannedPress | None:
     """Plans a press on an object where it lies.
 
@@ -170,8 +170,8 @@ def plan_press(
         edge: the edge over which it hangs.
         top: height of its top above the table, m.
         rules: what the press must keep to.
-        surely: whether the greatest force must tilt an object of the supposed mass wherever in the
-            region its center of mass is, and not only with it in the middle.
+        is_robust: whether the greatest force must tilt an object of the supposed mass wherever in
+            the region its center of mass is, and not only with it in the middle.
 
     Returns:
         The press; None where none is safe.
@@ -197,7 +197,7 @@ def plan_press(
     low, high = crossing
     slack = np.minimum(together - low, high - together).min(axis=1)
     middle = float(b.mean())
-    farthest = float(b.max()) if surely else middle
+    farthest = float(b.max()) if is_robust else middle
     light = rules.mass * GRAVITY * farthest <= rules.max_force * a[:, 0]
     safe = (slack > rules.pose_error) & light
     if not safe.any():
@@ -222,7 +222,7 @@ def plan_press(
     )
 
 
-def list_rests(
+def list_placements(
     obj: GridObject,
     centers: Array,
     heading: float,
@@ -230,7 +230,7 @@ def list_rests(
     top: float,
     rules: PressRules | None = None,
     along: float = 0.0,
-    surely: bool = True,
+    is_robust: bool = True,
 ) -> list[PlannedPress]:
     """Lists how far an object may hang over an edge, with a press on it for each overhang.
 
@@ -242,7 +242,7 @@ def list_rests(
         top: height of the object's top above the table, m.
         rules: what the presses must keep to.
         along: where the middle of the object is along the edge, from the edge's point, m.
-        surely: see `plan_press`.
+        is_robust: see `plan_press`.
 
     Returns:
         A press for each overhang at which one is safe.
@@ -262,7 +262,7 @@ def list_rests(
         beyond = overhang - reach.max()
         p = np.array(edge.point) + beyond * edge.normal + sideways * edge.tangent
         pose = np.array([*p, heading])
-        planned = plan_press(obj, centers, pose, edge, top, rules, surely)
+        planned = plan_press(obj, centers, pose, edge, top, rules, is_robust)
         if planned is not None:
             found.append(planned)
     return found
@@ -276,7 +276,9 @@ def _calc_least_inside(top: float, rules: PressRules) -> float:
 def _find_crossing(outline: Polygon, edge: Edge) -> Sequence[float] | None:
     """Finds from where to where along the edge an outline crosses it, m; None where it does not."""
     p = np.array(edge.point)
-    line = LineString([p - FAR * edge.tangent, p + FAR * edge.tangent])
+    line = LineString(
+        [p - EDGE_LINE_HALF_LENGTH * edge.tangent, p + EDGE_LINE_HALF_LENGTH * edge.tangent]
+    )
     crossing = shapely.get_coordinates(outline.intersection(line))
     if len(crossing) < 2:
         return None

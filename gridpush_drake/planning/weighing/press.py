@@ -15,12 +15,12 @@ line of two of them, at a smaller force, until its underside meets the edge. So 
 downwards. If the force rises again, the object was only rocking: the next plateau is looked for. If
 it does not up to the greatest tilt that is safe, the last plateau is taken for that about the edge;
 how far the tip went on freely is noted with it, and what that says is judged in
-`identification.absolute`. Then the tip goes up, slowly while it still touches, and the object comes
-back, since its center of mass is still inside the edge.
+`identification.absolute.estimate`. Then the tip goes up, slowly while it still touches, and the
+object comes back, since its center of mass is still inside the edge.
 
 An object that tilts needs less and less force, and a soft arm that is bent by the force would
 follow it down. So while the force is averaged, the tip's height is held: what is commanded is
-corrected, sample by sample, by a share of how far the tip is off. A press that is ended early is
+corrected, sample by sample, by a fraction of how far the tip is off. A press that is ended early is
 commanded to where the tip is, so that the arm does not press any more at once.
 
 What balances the weight is the moment about the edge. With the force f on the object, n the edge's
@@ -37,8 +37,8 @@ height is: an arm that is pushed sideways by its own pressing would else creep o
 object along. A tip that is drawn farther than the tilt says slides on the object, or the object on
 the table: the press has ended as slid, and tells nothing of the weight.
 
-`advance_press` is a pure function from state and sample to state. `systems.edge_presser` puts it
-between ports. Where it is safe to press is worked out in `plan`.
+`advance_press` is a pure function from state and sample to state. `systems.execution.edge_presser`
+puts it between ports. Where it is safe to press is worked out in `plan`.
 """
 
 from collections.abc import Callable
@@ -51,7 +51,7 @@ import numpy as np
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array, wrap_angle
-from gridpush_drake.pushes.weighings import FORCE_STD, EdgePress
+from gridpush_drake.pushes.weighings import FORCE_STD, TiltTest
 
 HOVER_TOLERANCE = 0.0005
 """Distance from the hovering place, m, within which the tip has arrived there."""
@@ -72,7 +72,7 @@ tilt moves the center outwards."""
 RATE_GAIN = 0.3
 """Fraction of a new sample in the smoothed speed of the tip."""
 
-BRAKING = 4.0
+BRAKING_FACTOR = 4.0
 """Factor on the speed of a tip that still goes down while it lets an object come back, with which
 it is commanded upwards besides."""
 
@@ -128,16 +128,18 @@ class PressOptions:
             height is uncertain by.
         tare_time: how long the force's offset is averaged, s.
         tilt_rate: rate at which the object tilts once it gives way, rad/s; it sets the speed.
-        sure_speedup: factor on the speed while the force is less than the target's `sure_force`.
+        no_tip_speedup: factor on the speed while the force is less than the target's
+            `no_tip_force`.
         notice_tilt: tilt within which giving way is noticed, rad.
-        gives_way: share of the commanded descent that the tip must make for the object to give way.
+        gives_way: fraction of the commanded descent that the tip must make for the object to give
+            way.
         sink_tilt: tilt up to which the tip may go down while the object is stiff, rad; from there
             on the object counts as giving way, too.
         touch_time: how long the force is averaged to see whether the tip touches, s.
         touch_force: mean force straight down from which the tip counts as touching, N.
         dwell_tilt: how much further than noticed the object is tilted while the force is averaged,
             rad. At the very beginning other feet than the edge may still bear.
-        hold_gain: share of the error of the tip's height, and of its place where it is held
+        hold_gain: fraction of the error of the tip's height, and of its place where it is held
             sideways, by which the command is corrected in each sample.
         dwell_time: how long the force is averaged at the tilt, s.
         max_tilt: tilt about the edge up to which the tip follows an object that gives way, rad. It
@@ -145,8 +147,8 @@ class PressOptions:
             about a line farther inside tilts by less.
         spare_tilt: further tilt in which a plateau of the force that began before may end, rad.
         look_ahead: time by which the tilt is foreseen, s.
-        stiff_share: share of a plateau's force by which the force must rise for the object to be
-            stiff again.
+        stiff_fraction: fraction of a plateau's force by which the force must rise for the object to
+            be stiff again.
         stiff_force: least such rise, N.
         max_plateaus: greatest number of forces at which the object may give way; then it is let
             come back.
@@ -170,7 +172,7 @@ class PressOptions:
     slow_above: float = 0.0015
     tare_time: float = 0.5
     tilt_rate: float = radians(5.0)
-    sure_speedup: float = 3.0
+    no_tip_speedup: float = 3.0
     notice_tilt: float = radians(0.2)
     gives_way: float = 0.4
     sink_tilt: float = radians(0.6)
@@ -182,7 +184,7 @@ class PressOptions:
     max_tilt: float = radians(4.0)
     spare_tilt: float = radians(1.0)
     look_ahead: float = 0.1
-    stiff_share: float = 0.04
+    stiff_fraction: float = 0.04
     stiff_force: float = 0.3
     follow_time: float = 0.15
     max_plateaus: int = 6
@@ -214,7 +216,7 @@ class PressTarget:
         edge_angle: direction of the edge's outward normal, rad.
         top: height of the object's top above the table, m.
         tip_radius: radius of the tip's sphere, m.
-        sure_force: force up to which the object surely lies still, by all that is known of it, N.
+        no_tip_force: force up to which the object surely lies still, by all that is known of it, N.
             Up to there the tip presses faster.
     """
 
@@ -223,7 +225,7 @@ class PressTarget:
     edge_angle: float
     top: float
     tip_radius: float
-    sure_force: float = 0.0
+    no_tip_force: float = 0.0
 
     @property
     def hover(self) -> Array:
@@ -235,7 +237,7 @@ class PressTarget:
         """(2,) the edge's outward unit normal, W."""
         return np.array([cos(self.edge_angle), sin(self.edge_angle)])
 
-    def calc_arm(self, tip: Array) -> float:
+    def calc_lever_arm(self, tip: Array) -> float:
         """Calculates how far beyond the edge a place (2,) or (3,) of the tip is, m."""
         return float(self.normal @ (tip[:2] - np.array(self.edge_point)))
 
@@ -328,7 +330,7 @@ class PressState(Unchanging):
 
     def make_weighing(
         self, target: PressTarget, options: PressOptions, pose: Array
-    ) -> EdgePress | None:
+    ) -> TiltTest | None:
         """Makes the weighing of a press that ended with a tilt; None of another.
 
         Args:
@@ -342,10 +344,10 @@ class PressState(Unchanging):
         if last.force < options.touch_force:
             return None
         # Forces along the normal count by h / a.
-        share = target.top / target.calc_arm(last.place)
+        fraction = target.top / target.calc_lever_arm(last.place)
         samples = 1 / last.samples + 1 / max(self.tare[1], 1)
-        variance = options.force_std**2 * (1 + share**2) * samples + options.force_floor**2
-        return EdgePress(
+        variance = options.force_std**2 * (1 + fraction**2) * samples + options.force_floor**2
+        return TiltTest(
             pose=pose,
             place=last.place,
             force=last.force,
@@ -383,8 +385,8 @@ def advance_press(
             return replace(now, last=sample.time)
         return _retreat(now, sample, PressOutcome.NO_FORCE)
     now = _note_rate(now, sample)
-    after = PHASES[now.phase](target, options, now, sample)
-    if now.phase in SLIDABLE and _is_drawn_away(target, options, after, sample):
+    after = PHASE_STEPS[now.phase](target, options, now, sample)
+    if now.phase in SLIDING_PHASES and _is_drawn_away(target, options, after, sample):
         after = _retreat(after, sample, PressOutcome.SLID)
     return replace(after, last=sample.time)
 
@@ -449,7 +451,7 @@ def _press(
 ) -> PressState:
     """Goes down, and looks for the object to give way."""
     assert now.command is not None
-    speed = options.tilt_rate * target.calc_arm(sample.tip)
+    speed = options.tilt_rate * target.calc_lever_arm(sample.tip)
     if now.touched is None and sample.tip[2] > target.hover[2] + options.slow_above:
         speed = max(speed, options.descent_speed)
     if now.touched is not None:
@@ -462,8 +464,8 @@ def _press(
     # The offset is known better than the noise of a few samples, but only straight down.
     felt = [one.force[2] for one, _ in window if sample.time - one.time <= options.touch_time]
     force = float(np.mean(felt)) - float(now.tare[0][2])
-    if now.touched is not None and force < target.sure_force:
-        speed *= options.sure_speedup
+    if now.touched is not None and force < target.no_tip_force:
+        speed *= options.no_tip_speedup
     moved = _move(now, sample, now.command - np.array([0.0, 0.0, 1.0]), speed)
 
     # Is the tip where something should have been met?
@@ -483,7 +485,7 @@ def _press(
         )
     if not _gives_way(target, options, moved, sample):
         return moved
-    arm = target.calc_arm(sample.tip)
+    arm = target.calc_lever_arm(sample.tip)
     return replace(
         now,
         phase=PressPhase.DWELLING,
@@ -510,7 +512,7 @@ def _gives_way(
     wanted = height - now.window[-1][1]
     made = float(first.tip[2] - sample.tip[2])
     sunk = now.stiff_height - float(sample.tip[2])
-    return made >= options.gives_way * wanted or sunk > options.sink_tilt * target.calc_arm(
+    return made >= options.gives_way * wanted or sunk > options.sink_tilt * target.calc_lever_arm(
         sample.tip
     )
 
@@ -533,7 +535,7 @@ def _dwell(
     if not too_far and _has_risen(options, np.array(after.forces)):
         # The underside met the edge meanwhile: this was no plateau.
         return _press_on(after, sample)
-    height = float(now.hold[2]) + options.dwell_tilt * target.calc_arm(sample.tip)
+    height = float(now.hold[2]) + options.dwell_tilt * target.calc_lever_arm(sample.tip)
     plateau = _average(target, after, height, len(after.forces))
     after = replace(after, plateaus=(*now.plateaus, plateau))
     if tilt > options.max_tilt:
@@ -549,7 +551,7 @@ def _follow(
     """Goes on downwards with an object that gave way, until it is stiff again or tilted enough."""
     now = _give_sideways(target, options, now, sample)
     assert now.command is not None
-    speed = options.tilt_rate * target.calc_arm(sample.tip)
+    speed = options.tilt_rate * target.calc_lever_arm(sample.tip)
     moved = _move(now, sample, now.command - np.array([0.0, 0.0, 1.0]), speed)
     tilt = _calc_tilt(target, now, sample)
     after = replace(
@@ -564,7 +566,7 @@ def _follow(
     period = max(sample.time - now.last, ROUND_OFF)
     count = round(options.follow_time / period)
     force = float(np.mean(after.forces[-count:]))
-    rise = max(options.stiff_force, options.stiff_share * plateau.force)
+    rise = max(options.stiff_force, options.stiff_fraction * plateau.force)
     stiff = len(after.forces) >= count and force - plateau.force > rise
     if stiff and len(now.plateaus) < options.max_plateaus:
         return _press_on(after, sample)
@@ -589,7 +591,7 @@ def _average(target: PressTarget, now: PressState, height: float, count: int) ->
         place=place,
         samples=len(places),
         height=height,
-        tilt=max(sunk / target.calc_arm(place), 0.0),
+        tilt=max(sunk / target.calc_lever_arm(place), 0.0),
     )
 
 
@@ -611,13 +613,13 @@ def _has_risen(options: PressOptions, forces: Array) -> bool:
     if part == 0:
         return False
     first = float(forces[:part].mean())
-    rise = max(options.stiff_force, options.stiff_share * first)
+    rise = max(options.stiff_force, options.stiff_fraction * first)
     return float(forces[-part:].mean()) - first > rise
 
 
 def _calc_tilt(target: PressTarget, now: PressState, sample: PressSample) -> float:
     """Calculates the tilt about the edge that the tip's descent says, rad."""
-    return (now.start_height - float(sample.tip[2])) / target.calc_arm(sample.tip)
+    return (now.start_height - float(sample.tip[2])) / target.calc_lever_arm(sample.tip)
 
 
 def _foresee_tilt(
@@ -625,7 +627,7 @@ def _foresee_tilt(
 ) -> float:
     """Calculates the tilt, rad, that is reached a little later if the tip goes on as fast."""
     tilt = _calc_tilt(target, now, sample)
-    return tilt + options.look_ahead * max(now.sink_rate, 0.0) / target.calc_arm(sample.tip)
+    return tilt + options.look_ahead * max(now.sink_rate, 0.0) / target.calc_lever_arm(sample.tip)
 
 
 def _note_rate(now: PressState, sample: PressSample) -> PressState:
@@ -660,8 +662,8 @@ def _go_up(
     goal = target.hover + np.array([0.0, 0.0, options.clearance])
     speed = options.approach_speed
     if now.outcome == PressOutcome.TILTED and sample.tip[2] < now.start_height:
-        speed = min(speed, options.lowering_rate * target.calc_arm(sample.tip))
-        speed += BRAKING * max(now.sink_rate, 0.0)
+        speed = min(speed, options.lowering_rate * target.calc_lever_arm(sample.tip))
+        speed += BRAKING_FACTOR * max(now.sink_rate, 0.0)
         # The tip still presses, so that it would creep here as well.
         now = _give_sideways(target, options, now, sample)
         assert now.command is not None
@@ -672,7 +674,7 @@ def _go_up(
     return after
 
 
-PHASES: dict[
+PHASE_STEPS: dict[
     PressPhase, Callable[[PressTarget, PressOptions, PressState, PressSample], PressState]
 ] = {
     PressPhase.HOVERING: _hover,
@@ -684,7 +686,7 @@ PHASES: dict[
 }
 """How each phase but the last is carried on."""
 
-SLIDABLE = (PressPhase.PRESSING, PressPhase.DWELLING, PressPhase.FOLLOWING)
+SLIDING_PHASES = (PressPhase.PRESSING, PressPhase.DWELLING, PressPhase.FOLLOWING)
 """Phases in which the tip touches, and may slide."""
 
 
@@ -694,7 +696,7 @@ def _calc_force(target: PressTarget, now: PressState, sample: PressSample) -> fl
     # tip of radius r touches r sin t nearer to the edge than its center is.
     f = now.tare[0] - sample.force
     tilt = 0.0 if now.touched is None else max(_calc_tilt(target, now, sample), 0.0)
-    arm = target.calc_arm(sample.tip)
+    arm = target.calc_lever_arm(sample.tip)
     height = float(sample.tip[2]) - target.tip_radius * cos(tilt)
     moment = -f[2] * (arm - target.tip_radius * sin(tilt)) + f[:2] @ target.normal * height
     return float(moment / arm)

@@ -22,8 +22,8 @@ import shapely
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.geometry.se2 import Array, make_rotation, turn_left
-from gridpush_drake.identification.absolute import (
-    CENTER,
+from gridpush_drake.identification.absolute.estimate import (
+    CENTER_INDICES,
     LOG_MASS,
     AbsoluteEstimate,
     PoseNoise,
@@ -31,17 +31,17 @@ from gridpush_drake.identification.absolute import (
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.weighing.plan import Edge, PlannedPress, PressRules
 
-HEAVIER = 1.5
+MASS_INCREASE = 1.5
 """Factor on the mass that is supposed, for each press that the object withstood."""
 
-SURE_SIGMAS = 3.5
+NO_TIP_SIGMAS = 3.5
 """Number of standard deviations by which the expected force of a press may be too high while the
 object still surely lies still."""
 
-SURE_SHARE = 0.75
-"""Share of the least force that is possible up to which the tip presses fast."""
+NO_TIP_FRACTION = 0.75
+"""Fraction of the least force that is possible up to which the tip presses fast."""
 
-HEADINGS = 24
+HEADING_COUNT = 24
 """Number of headings in which an object is laid over an edge, evenly spaced."""
 
 
@@ -67,11 +67,11 @@ def calc_headings(obj: GridObject, edge: Edge) -> Array:
     longest = sides[np.argmax((sides**2).sum(axis=1))]
     along = float(np.arctan2(longest[1], longest[0]))
     return np.asarray(
-        edge.angle - along + 2 * np.pi / HEADINGS * np.arange(HEADINGS), dtype=np.float64
+        edge.angle - along + 2 * np.pi / HEADING_COUNT * np.arange(HEADING_COUNT), dtype=np.float64
     )
 
 
-def with_sure_force(
+def with_no_tip_force(
     planned: PlannedPress, belief: AbsoluteEstimate, rules: PressRules
 ) -> PlannedPress:
     """Says with a press up to which force the object surely lies still.
@@ -84,11 +84,11 @@ def with_sure_force(
     force, J, variance = _predict_force(belief, planned, rules)
     # The force is a product of what is known to so many percent: its logarithm is about normal.
     relative = float(np.sqrt(J @ belief.covariance @ J + variance)) / force
-    sure = SURE_SHARE * force * float(np.exp(-SURE_SIGMAS * relative))
-    return replace(planned, target=replace(planned.target, sure_force=sure))
+    sure = NO_TIP_FRACTION * force * float(np.exp(-NO_TIP_SIGMAS * relative))
+    return replace(planned, target=replace(planned.target, no_tip_force=sure))
 
 
-def calc_left_open(
+def calc_remaining_uncertainty(
     belief: AbsoluteEstimate, planned: PlannedPress, rules: PressRules, options: SequenceOptions
 ) -> float:
     """Calculates how much a press is expected to leave open of mass and center, see above.
@@ -103,7 +103,7 @@ def calc_left_open(
     S = belief.covariance
     SJ = S @ J
     left = S - np.outer(SJ, SJ) / (float(J @ SJ) + r)
-    return calc_open(left, options)
+    return calc_normalized_uncertainty(left, options)
 
 
 def _predict_force(
@@ -122,19 +122,19 @@ def _predict_force(
     arm = R @ belief.center_of_mass
     weight = GRAVITY * belief.total_mass
     # F = m g b / a and its derivatives.
-    a = target.calc_arm(np.array(target.place))
+    a = target.calc_lever_arm(np.array(target.place))
     b = float(n @ (np.array(target.edge_point) - planned.pose[:2] - arm))
     force = weight * b / a
     J = np.zeros(len(belief.mean))
     J[LOG_MASS] = force
-    J[CENTER] = -weight / a * (n @ R)
+    J[CENTER_INDICES] = -weight / a * (n @ R)
     by_edge = (force + weight) / a * noise.edge
     by_place = weight / a * noise.position
     by_angle = weight / a * float(n @ turn_left(arm)) * noise.angle
     return force, J, rules.force_std**2 + by_edge**2 + by_place**2 + by_angle**2
 
 
-def calc_open(S: Array, options: SequenceOptions) -> float:
+def calc_normalized_uncertainty(S: Array, options: SequenceOptions) -> float:
     """Calculates how much a covariance (4, 4) leaves open of mass and center, see above."""
     mass = float(S[LOG_MASS, LOG_MASS]) / options.mass_std**2
-    return mass + float(np.trace(S[CENTER, CENTER])) / options.center_std**2
+    return mass + float(np.trace(S[CENTER_INDICES, CENTER_INDICES])) / options.center_std**2

@@ -1,8 +1,8 @@
 """Importers of public data sets, motion capture and ROS bags: what one is, and which there are.
 
-An importer is a frozen dataclass in a file of its own here, and a line in `IMPORTERS`; its fields
-are then the options of `gridpush import NAME`. What it reads becomes a push log and an object, in
-SI units, radians and one world frame.
+An importer is a frozen dataclass in a file of its own here, and a line in `IMPORTER_CLASSES`; its
+fields are then the options of `gridpush import NAME`. What it reads becomes a push log and an
+object, in SI units, radians and one world frame.
 """
 
 from importlib import import_module
@@ -12,7 +12,7 @@ from typing import ClassVar, Protocol
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import PushLog
 
-IMPORTERS = {
+IMPORTER_CLASSES = {
     "bag": "bag.BagImporter",
     "cmu": "cmu.CmuImporter",
     "mit": "mit.MitImporter",
@@ -50,7 +50,7 @@ class Importer(Protocol):
 
 
 def find_importer(name: str) -> type[Importer]:
-    """Imports the importer of a name in `IMPORTERS`."""
-    module, class_name = IMPORTERS[name].split(".")
+    """Imports the importer of a name in `IMPORTER_CLASSES`."""
+    module, class_name = IMPORTER_CLASSES[name].split(".")
     importer: type[Importer] = getattr(import_module(f"{__package__}.{module}"), class_name)
     return importer

@@ -25,11 +25,10 @@ from gridpush_drake.pushes.pose_delay import choose_delay
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterOptions
 from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
+from gridpush_drake.units import S_PER_NS
 
-EXTRA = "pip install 'gridpush-drake[bags]'"
+BAGS_EXTRA = "pip install 'gridpush-drake[bags]'"
 
-NS = 1e-9
-"""Seconds in a nanosecond."""
 
 FORCE_SIZE = 3
 """How many numbers a force has, and a position."""
@@ -49,13 +48,13 @@ MAX_SAMPLES = 500_000
 MAX_SHIFT = 1e9
 """Largest delay that may be told, s."""
 
-METADATA = "metadata.yaml"
+METADATA_FILE = "metadata.yaml"
 """File in the folder of a ROS 2 bag that says what the bag holds."""
 
-TF = "TFMessage"
+TRANSFORMS_TYPE = "TFMessage"
 """Type of messages that hold the transforms of many frames."""
 
-POSES = {
+POSE_READERS = {
     "PoseStamped": lambda message: (message.pose.position, message.pose.orientation),
     "PoseWithCovarianceStamped": lambda message: (
         message.pose.pose.position,
@@ -66,7 +65,7 @@ POSES = {
 }
 """Functions that take position and orientation out of a message, by the last part of its type."""
 
-WRENCH = "WrenchStamped"
+WRENCH_TYPE = "WrenchStamped"
 """Type of messages that hold a force."""
 
 
@@ -191,13 +190,13 @@ class BagImporter:
         radius = choose_pusher_radius(self.obj)
         segmenter = SegmenterOptions(engaged_below=self.engaged_below)
         # The tip's stamps are late, too: the stream's delay is that of the object against the tip.
-        told = None if self.object_delay is None else rest
+        given = None if self.object_delay is None else rest
         chosen = choose_delay(
             samples,
             self.obj,
             segmenter,
-            told=told,
-            told_by="--object-delay less --tip-delay",
+            given=given,
+            given_by="--object-delay less --tip-delay",
             otherwise=rest,
         )
         record = RecordOptions(pose_delay=chosen.value)
@@ -379,9 +378,10 @@ class _Bag:
             raise PushLogError(
                 f"{path}: cannot be read: is a pipe or a device, not a file; expected a ROS bag"
             )
-        if path.is_dir() and not (path / METADATA).exists():
+        if path.is_dir() and not (path / METADATA_FILE).exists():
             raise PushLogError(
-                f"{path}: is a folder without {METADATA}; expected the folder of a ROS 2 bag, or a "
+                f"{path}: is a folder without {METADATA_FILE}; expected the folder of a ROS 2 "
+                "bag, or a "
                 "file .bag, .mcap or .db3"
             )
 
@@ -391,7 +391,7 @@ class _Bag:
             from rosbags.typesys import Stores, get_typestore
         except ImportError as error:
             raise PushLogError(
-                f"{self._path}: bags are read with the package rosbags; get it with {EXTRA}"
+                f"{self._path}: bags are read with the package rosbags; get it with {BAGS_EXTRA}"
             ) from error
         try:
             # old ROS 2 bags do not say what their messages look like
@@ -428,12 +428,12 @@ class _Bag:
             problem = f"there is no topic {topic!r}" if topic else f"{option} is missing"
             raise PushLogError(f"{self._path}: {problem}; the bag holds {there}")
         kind = kinds[topic]
-        allowed = (WRENCH,) if option == "--force-topic" else (*POSES, TF)
+        allowed = (WRENCH_TYPE,) if option == "--force-topic" else (*POSE_READERS, TRANSFORMS_TYPE)
         if kind not in allowed:
             raise PushLogError(
                 f"{self._path}: {topic} holds {kind}; expected one of {', '.join(allowed)}"
             )
-        if kind == TF and not child:
+        if kind == TRANSFORMS_TYPE and not child:
             raise PushLogError(
                 f"{self._path}: {topic} holds many frames; expected one after a colon, "
                 f"{topic}:FRAME"
@@ -446,7 +446,7 @@ class _Bag:
             ]
         except Exception as error:
             raise self._unreadable(error) from error
-        if kind == TF and not found:
+        if kind == TRANSFORMS_TYPE and not found:
             raise PushLogError(
                 f"{self._path}: {topic} has no frame {child!r}; it has {self._list_frames(topic)}"
             )
@@ -464,7 +464,7 @@ class _Bag:
         """Takes what is used out of one message.
 
         Args:
-            kind: kind of the message, one of POSES, TF or WRENCH.
+            kind: kind of the message, one of POSE_READERS, TF or WRENCH_TYPE.
             t: time at which the bag has it, ns.
             message: the message, as rosbags reads it.
             child: the frame whose transforms are meant, in a message of many.
@@ -472,7 +472,7 @@ class _Bag:
         Yields:
             One entry for each pose or wrench in it.
         """
-        if kind == TF:
+        if kind == TRANSFORMS_TYPE:
             chosen = [
                 each
                 for each in message.transforms
@@ -483,15 +483,15 @@ class _Bag:
         else:
             messages = [message]
         for each in messages:
-            if kind == WRENCH:
+            if kind == WRENCH_TYPE:
                 force = each.wrench.force
                 values = [force.x, force.y, force.z]
             else:
-                p, q = POSES[kind](each)
+                p, q = POSE_READERS[kind](each)
                 values = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
             stamp = each.header.stamp
-            stamped = stamp.sec * round(1 / NS) + stamp.nanosec
-            seconds = ((stamped or t) - self._reader.start_time) * NS
+            stamped = stamp.sec * round(1 / S_PER_NS) + stamp.nanosec
+            seconds = ((stamped or t) - self._reader.start_time) * S_PER_NS
             yield _Message(seconds, each.header.frame_id.strip("/"), values)
 
     def _list_frames(self, topic: str) -> str:

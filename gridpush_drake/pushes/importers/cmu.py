@@ -29,6 +29,7 @@ from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.pushes.csv_table import MAX_SHOWN
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.units import M_PER_MM
 
 POSE_FORM = "x y z (mm) qw qx qy qz"
 FORCE_FORM = "t (s) fx fy (N)"
@@ -73,13 +74,13 @@ def read_cmu(path: Path) -> list[CmuPush]:
         PushLogError: the file cannot be read, is cut short, goes on after its last push, or a line
             is not what it should be; the message names the file, the line and the expected form.
     """
-    lines = _Lines(path)
+    lines = _FileLines(path)
     pushes = [_read_push(lines, i) for i in range(lines.count("the number of pushes"))]
     lines.expect_end()
     return pushes
 
 
-def _read_push(lines: "_Lines", i: int) -> CmuPush:
+def _read_push(lines: "_FileLines", i: int) -> CmuPush:
     """Takes the lines of push number i, from 0."""
     before = lines.table(1, POSE_SIZE, f"push {i + 1}: the object's pose before, {POSE_FORM}")[0]
     after = lines.table(1, POSE_SIZE, f"push {i + 1}: its pose after, {POSE_FORM}")[0]
@@ -90,7 +91,7 @@ def _read_push(lines: "_Lines", i: int) -> CmuPush:
     return CmuPush(before=before, after=after, force=force, tool=tool)
 
 
-class _Lines:
+class _FileLines:
     """The file's lines with something on them, taken from the top."""
 
     def __init__(self, path: Path) -> None:
@@ -158,13 +159,10 @@ class _Lines:
         )
 
 
-MM = 1e-3
-"""Meters in a millimeter."""
-
-CENTROID = (0.050, 0.050)
+BLOCK_CENTROID = (0.050, 0.050)
 """The block's centroid, from the logged origin (the right-angle corner) in body axes, m."""
 
-OUTLINE = ((-0.05, -0.05), (0.10, -0.05), (-0.05, 0.10))
+BLOCK_OUTLINE = ((-0.05, -0.05), (0.10, -0.05), (-0.05, 0.10))
 """Corners of the block, about its centroid, m."""
 
 TIP_OFFSET = (-0.0012, -0.00085)
@@ -177,11 +175,11 @@ TIP_EXTENSION = 0.00065
 TIP_RADIUS = 0.0005
 """Radius of the tip, m."""
 
-STANDSTILL = 0.00005
+STANDSTILL_DISTANCE = 0.00005
 """Distance from where the tool starts (or ends) within which it stands still, m. It is half a step
 of the log."""
 
-STRAIGHT = 0.0002
+STRAIGHT_TOLERANCE = 0.0002
 """Distance from a straight line within which the tool's path is one, m. It is logged in steps of
 0.1 mm."""
 
@@ -218,7 +216,7 @@ def triangle_block(uniform_plate: bool = False) -> GridObject:
         pusher_radius=TIP_RADIUS,
     )
     return GridObject.from_outline(
-        OUTLINE, max_cells=BLOCK_CELLS, name="triangle_block", prior=prior
+        BLOCK_OUTLINE, max_cells=BLOCK_CELLS, name="triangle_block", prior=prior
     )
 
 
@@ -303,7 +301,7 @@ def _observe(logged: CmuPush, name: str, calibrate: bool) -> ObservedPush | None
         return None
     yaw = _calc_yaw(tool[:, 4:])
     t = tool[:, 0] - tool[0, 0]
-    p = tool[:, 1:3] * MM
+    p = tool[:, 1:3] * M_PER_MM
     force = _force_on_object(logged.force, tool[:, 0], yaw)
     force_t = t
     if calibrate:
@@ -330,7 +328,7 @@ def _centroid_pose(pose: Array) -> Array:
         pose: (7,) logged pose of the block's corner, mm and quaternion w x y z.
     """
     yaw = float(_calc_yaw(pose[3:]))
-    return compose([*pose[:2] * MM, yaw], [*CENTROID, 0.0])
+    return compose([*pose[:2] * M_PER_MM, yaw], [*BLOCK_CENTROID, 0.0])
 
 
 def _force_on_object(rows: Array, times: Array, yaw: Array) -> Array:
@@ -364,7 +362,7 @@ def _straightened(p: Array) -> Array:
     """
     center = p.mean(axis=0)
     along, across = np.linalg.svd(p - center, full_matrices=False)[2]
-    if np.abs((p - center) @ across).max() > STRAIGHT:
+    if np.abs((p - center) @ across).max() > STRAIGHT_TOLERANCE:
         return p
     if (p[-1] - p[0]) @ along < 0:
         along = -along
@@ -384,8 +382,8 @@ def _travel_on(t: Array, p: Array) -> tuple[Array, Array]:
     """
     travel = p[-1] - p[0]
     length = np.linalg.norm(travel)
-    share = TIP_EXTENSION / length
-    return np.append(t, t[-1] + share * t[-1]), np.vstack([p, p[-1] + share * travel])
+    fraction = TIP_EXTENSION / length
+    return np.append(t, t[-1] + fraction * t[-1]), np.vstack([p, p[-1] + fraction * travel])
 
 
 def _in_time_order(rows: Array) -> Array:
@@ -405,10 +403,10 @@ def _without_standstill(tool: Array) -> Array | None:
     Returns:
         (K, 8) rows; None where the tool ends where it starts, or never leaves.
     """
-    p = tool[:, 1:3] * MM
-    left = np.flatnonzero(np.linalg.norm(p - p[0], axis=1) > STANDSTILL)
-    not_yet = np.flatnonzero(np.linalg.norm(p - p[-1], axis=1) > STANDSTILL)
-    if np.linalg.norm(p[-1] - p[0]) <= STANDSTILL or not len(left) or not len(not_yet):
+    p = tool[:, 1:3] * M_PER_MM
+    left = np.flatnonzero(np.linalg.norm(p - p[0], axis=1) > STANDSTILL_DISTANCE)
+    not_yet = np.flatnonzero(np.linalg.norm(p - p[-1], axis=1) > STANDSTILL_DISTANCE)
+    if np.linalg.norm(p[-1] - p[0]) <= STANDSTILL_DISTANCE or not len(left) or not len(not_yet):
         return None
     return tool[left[0] - 1 : not_yet[-1] + 2]
 

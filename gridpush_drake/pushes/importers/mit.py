@@ -27,12 +27,13 @@ from scipy.io import loadmat
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError, PushLogWarning
-from gridpush_drake.files import MEGABYTE, read_bytes
+from gridpush_drake.files import read_bytes
 from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.units import BYTES_PER_MEGABYTE, M_PER_MM
 
 TRIANGLE_CORNER = (0.045, 0.045)
 """Where the triangles' right angle is: the frame is that of the 90 mm square the markers were put
@@ -55,9 +56,6 @@ BUTTER_HALF_MM = (
     (38.62, -24.78), (35.39, -19.85), (32.36, -14.91), (29.83, -9.95), (28.10, -4.98),
 )  # fmt: skip
 """Half of the butterfly's outline; the other half is this one turned by pi about the origin, mm."""
-
-MM = 1e-3
-"""Meters in a millimeter."""
 
 
 def _rectangle(along_x: float, along_y: float) -> Array:
@@ -84,7 +82,9 @@ MIT_SHAPES: dict[str, Callable[[], Array]] = {
     "ellip2": lambda: _ellipse(0.10500, 0.13089),
     "ellip3": lambda: _ellipse(0.10500, 0.15700),
     "hex": lambda: HEXAGON_RADIUS * make_direction(np.arange(6) * np.pi / 3),
-    "butter": lambda: np.vstack([np.array(BUTTER_HALF_MM) * MM, -(np.array(BUTTER_HALF_MM) * MM)]),
+    "butter": lambda: np.vstack(
+        [np.array(BUTTER_HALF_MM) * M_PER_MM, -(np.array(BUTTER_HALF_MM) * M_PER_MM)]
+    ),
 }
 """(k, 2) vertices by the data set's name of the shape, m."""
 
@@ -92,26 +92,26 @@ MIT_SHAPES: dict[str, Callable[[], Array]] = {
 TIP_RADIUS = 0.00475
 """Radius of the pusher, m."""
 
-SPEED = 0.010
+DEFAULT_SPEED = 0.010
 """Speed of the pusher where the file does not tell it (`vel`, mm/s), m/s."""
 
 
 MIT_CELLS = 60
 """Largest number of cells of an object's grid."""
 
-WHAT = "a MATLAB v5 file"
+EXPECTED_MATLAB = "a MATLAB v5 file"
 
-MAX_SIZE = 16 * MEGABYTE
+MAX_SIZE = 16 * BYTES_PER_MEGABYTE
 """Largest size of a file, packed or unpacked, bytes. Those of the data set have a tenth of one
 megabyte."""
 
-HEAD = 128
+HEADER_BYTES = 128
 """Number of bytes before a file's first element."""
 
-TAG = 8
+TAG_BYTES = 8
 """Number of bytes before an element's content, which tell its kind and its size."""
 
-PACKED = 15
+COMPRESSED_KIND = 15
 """Kind of an element that is compressed."""
 
 RECORD_SIZES = {"init_pose_gt": 3, "final_pose_gt": 3, "init_tip_pt": 2, "final_tip_pt": 2}
@@ -165,7 +165,11 @@ class MitImporter:
         path = Path(path)
         data = _read_mat(path)
         obj = self.obj or _mit_object(path, self.shape, data)
-        speed = float(_numbers(path, "vel", data["vel"], 1)[0]) * MM if "vel" in data else SPEED
+        speed = (
+            float(_numbers(path, "vel", data["vel"], 1)[0]) * M_PER_MM
+            if "vel" in data
+            else DEFAULT_SPEED
+        )
         if speed <= 0:
             raise PushLogError(f"{path}: vel is {data['vel']!r}; expected a positive number (mm/s)")
         records = np.atleast_1d(_field(path, data, "record_all"))
@@ -258,29 +262,32 @@ def make_mit_object(path: Path, shape: str) -> GridObject:
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
-    content = read_bytes(path, WHAT, PushLogError, MAX_SIZE)
+    content = read_bytes(path, EXPECTED_MATLAB, PushLogError, MAX_SIZE)
     if _calc_unpacked_size(content) > MAX_SIZE:
         raise PushLogError(
-            f"{path}: has more than {MAX_SIZE // MEGABYTE} MB, unpacked; expected {WHAT}"
+            f"{path}: has more than {MAX_SIZE // BYTES_PER_MEGABYTE} MB, unpacked; expected "
+            f"{EXPECTED_MATLAB}"
         )
     try:
         data: dict[str, Any] = loadmat(BytesIO(content), squeeze_me=True, struct_as_record=False)
     except Exception as error:  # a damaged file makes SciPy raise almost anything
-        raise PushLogError(f"{path}: cannot be read as {WHAT}: {error}") from error
+        raise PushLogError(f"{path}: cannot be read as {EXPECTED_MATLAB}: {error}") from error
     return data
 
 
 def _calc_unpacked_size(content: bytes) -> int:
     """Counts the bytes of a file's compressed elements, unpacked; no further than MAX_SIZE."""
     # The file's header says in which order the bytes of a number stand.
-    order: Literal["little", "big"] = "little" if content[HEAD - 2 : HEAD] == b"IM" else "big"
-    at = HEAD
+    order: Literal["little", "big"] = (
+        "little" if content[HEADER_BYTES - 2 : HEADER_BYTES] == b"IM" else "big"
+    )
+    at = HEADER_BYTES
     size = 0
-    while at + TAG <= len(content) and size <= MAX_SIZE:
+    while at + TAG_BYTES <= len(content) and size <= MAX_SIZE:
         kind = int.from_bytes(content[at : at + 4], order)
-        length = int.from_bytes(content[at + 4 : at + TAG], order)
-        at += TAG
-        if kind == PACKED:
+        length = int.from_bytes(content[at + 4 : at + TAG_BYTES], order)
+        at += TAG_BYTES
+        if kind == COMPRESSED_KIND:
             with suppress(zlib.error):  # SciPy says what is wrong
                 unpacked = zlib.decompressobj().decompress(content[at : at + length], MAX_SIZE + 1)
                 size += len(unpacked)

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 
 from gridpush_drake.errors import MAX_NUMBER, PushLogError, PushLogWarning
 from gridpush_drake.extras import import_extra
-from gridpush_drake.files import MEGABYTE, read_bytes, read_text
+from gridpush_drake.files import read_bytes, read_text
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.importers.mit import OBJECT_OPTION, TIP_RADIUS, make_mit_object
@@ -43,35 +43,36 @@ from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.pose_delay import choose_episodes_delay
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import (
-    UNUSABLE,
-    Episode,
+    UNUSABLE_ERRORS,
     RecordOptions,
+    TipMotion,
     find_begin,
     make_observed_push,
 )
+from gridpush_drake.units import BYTES_PER_MEGABYTE
 
-TIP = "tip_pose"
+TIP_TABLE = "tip_pose"
 """Name of the table of the tip's poses."""
 
-OBJECT = "object_pose"
+OBJECT_TABLE = "object_pose"
 """Name of the table of the object's poses."""
 
-WRENCH = "ft_wrench"
+WRENCH_TABLE = "ft_wrench"
 """Name of the table of the forces."""
 
-COLUMNS = {
-    TIP: "t (s), x, y (m), yaw (rad)",
-    OBJECT: "t (s), x, y (m), yaw (rad)",
-    WRENCH: "t (s), fx, fy (N), torque (N m)",
+TABLE_COLUMNS = {
+    TIP_TABLE: "t (s), x, y (m), yaw (rad)",
+    OBJECT_TABLE: "t (s), x, y (m), yaw (rad)",
+    WRENCH_TABLE: "t (s), fx, fy (N), torque (N m)",
 }
 """What the four columns of each table are."""
 
-SUFFIXES = (".h5", ".hdf5", ".json")
+FILE_SUFFIXES = (".h5", ".hdf5", ".json")
 """How the names of such files end."""
 
-WHAT = "pushes of the MIT push data set (HDF5 or JSON)"
+EXPECTED_MIT = "pushes of the MIT push data set (HDF5 or JSON)"
 
-MAX_SIZE = 16 * MEGABYTE
+MAX_SIZE = 16 * BYTES_PER_MEGABYTE
 """Largest file, bytes; those of the data set have less than one megabyte."""
 
 MAX_ROWS = 50_000
@@ -130,15 +131,15 @@ class MitTrackedImporter:
         paths = _list_files(path)
         obj = self.obj or make_mit_object(path, self.shape or _read_shape(path, paths))
 
-        episodes: list[tuple[Path, Episode, dict[str, Array]]] = []
+        episodes: list[tuple[Path, TipMotion, dict[str, Array]]] = []
         options = RecordOptions()
         for one in paths:
             tables = _read_tables(one)
             tracks = Tracks(
-                tip_t=tables[TIP][:, 0],
-                tip=tables[TIP][:, 1:3],
-                object_t=tables[OBJECT][:, 0],
-                poses=tables[OBJECT][:, 1:],
+                tip_t=tables[TIP_TABLE][:, 0],
+                tip=tables[TIP_TABLE][:, 1:3],
+                object_t=tables[OBJECT_TABLE][:, 0],
+                poses=tables[OBJECT_TABLE][:, 1:],
             )
             episode = make_episode(tracks, options)
             if episode is not None:
@@ -148,8 +149,8 @@ class MitTrackedImporter:
             [episode for _, episode, _ in episodes],
             obj,
             options,
-            told=self.object_delay,
-            told_by="--object-delay",
+            given=self.object_delay,
+            given_by="--object-delay",
         )
         warn_of_delay(path, delay)
         options = replace(options, pose_delay=delay.value)
@@ -160,7 +161,7 @@ class MitTrackedImporter:
         ]
         if not pushes:
             raise PushLogError(
-                f"{path}: no push touches {obj.name}; expected {WHAT} of this object"
+                f"{path}: no push touches {obj.name}; expected {EXPECTED_MIT} of this object"
             )
         if len(pushes) < len(paths):
             warn(
@@ -180,11 +181,11 @@ def _list_files(path: Path) -> list[Path]:
     """
     if not path.is_dir():
         return [path]
-    paths = sorted(one for one in path.iterdir() if one.suffix.lower() in SUFFIXES)
+    paths = sorted(one for one in path.iterdir() if one.suffix.lower() in FILE_SUFFIXES)
     if not 1 <= len(paths) <= MAX_FILES:
         raise PushLogError(
-            f"{path}: holds {len(paths)} files that end in {', '.join(SUFFIXES)}; "
-            f"expected 1 to {MAX_FILES} of {WHAT}"
+            f"{path}: holds {len(paths)} files that end in {', '.join(FILE_SUFFIXES)}; "
+            f"expected 1 to {MAX_FILES} of {EXPECTED_MIT}"
         )
     return paths
 
@@ -216,9 +217,9 @@ def _read_tables(path: Path) -> dict[str, Array]:
     """Reads the tables (K, 4) of a file, times increasing; ft_wrench only where it is there."""
     raw = _read_json(path) if path.suffix.lower() == ".json" else _read_hdf5(path)
     tables = {}
-    for name, form in COLUMNS.items():
+    for name, form in TABLE_COLUMNS.items():
         if name not in raw:
-            if name == WRENCH:
+            if name == WRENCH_TABLE:
                 continue
             there = ", ".join(sorted(raw)) or "nothing"
             raise PushLogError(f"{path}: has no {name}; it holds {there}")
@@ -227,38 +228,44 @@ def _read_tables(path: Path) -> dict[str, Array]:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    text = read_text(path, WHAT, PushLogError, MAX_SIZE)
+    text = read_text(path, EXPECTED_MIT, PushLogError, MAX_SIZE)
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise PushLogError(f"{path}: cannot be read as JSON: {error}; expected {WHAT}") from error
+        raise PushLogError(
+            f"{path}: cannot be read as JSON: {error}; expected {EXPECTED_MIT}"
+        ) from error
     if not isinstance(content, dict):
-        raise PushLogError(f"{path}: is no JSON object; expected one with {', '.join(COLUMNS)}")
+        raise PushLogError(
+            f"{path}: is no JSON object; expected one with {', '.join(TABLE_COLUMNS)}"
+        )
     return content
 
 
 def _read_hdf5(path: Path) -> dict[str, Any]:
     """The tables of an HDF5 file; a table that says it is larger than any push is not unpacked."""
-    content = read_bytes(path, WHAT, PushLogError, MAX_SIZE)
+    content = read_bytes(path, EXPECTED_MIT, PushLogError, MAX_SIZE)
     h5py = import_extra("h5py", "hdf5")
     found: dict[str, Any] = {}
     try:
         with h5py.File(BytesIO(content), "r") as file:
             for name in file:
-                if name not in COLUMNS:
+                if name not in TABLE_COLUMNS:
                     found[name] = None
                     continue
                 shape = getattr(file[name], "shape", None)
                 if shape is None or len(shape) != 2 or shape[0] > MAX_ROWS or shape[1] != 4:
                     raise PushLogError(
                         f"{path}: {name} has the shape {shape}; expected (K, 4), K at most "
-                        f"{MAX_ROWS}, of {COLUMNS[name]}"
+                        f"{MAX_ROWS}, of {TABLE_COLUMNS[name]}"
                     )
                 found[name] = file[name][:]
     except PushLogError:
         raise
     except Exception as error:  # a damaged file makes h5py raise almost anything
-        raise PushLogError(f"{path}: cannot be read as HDF5: {error}; expected {WHAT}") from error
+        raise PushLogError(
+            f"{path}: cannot be read as HDF5: {error}; expected {EXPECTED_MIT}"
+        ) from error
     return found
 
 
@@ -286,16 +293,20 @@ def _check_table(path: Path, name: str, form: str, value: ArrayLike) -> Array:
 
 
 def _write_down(
-    path: Path, episode: Episode, tables: dict[str, Array], obj: GridObject, options: RecordOptions
+    path: Path,
+    episode: TipMotion,
+    tables: dict[str, Array],
+    obj: GridObject,
+    options: RecordOptions,
 ) -> ObservedPush | None:
     """A file's push; None where the tip does not touch the object or the object was not seen."""
     try:
         seen = make_observed_push(episode, obj, TIP_RADIUS, path.stem.strip(), options)
-    except UNUSABLE as error:
+    except UNUSABLE_ERRORS as error:
         raise PushLogError(f"{path}: the push could not be written down: {error}") from error
-    if seen is None or WRENCH not in tables:
+    if seen is None or WRENCH_TABLE not in tables:
         return seen
-    wrench = tables[WRENCH]
+    wrench = tables[WRENCH_TABLE]
     return add_force(seen, find_begin(episode, options), wrench[:, 0], wrench[:, 1:3])
 
 
@@ -313,7 +324,8 @@ def _orient_forces(path: Path, pushes: list[ObservedPush]) -> list[ObservedPush]
     if work >= 0:
         return pushes
     warn(
-        f"{path}: {WRENCH} holds the forces on the tip; they were turned round into those on the "
+        f"{path}: {WRENCH_TABLE} holds the forces on the tip; they were turned round into those "
+        "on the "
         "object",
         PushLogWarning,
         stacklevel=3,

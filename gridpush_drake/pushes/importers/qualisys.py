@@ -31,11 +31,10 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
+from gridpush_drake.units import M_PER_MM
 
-WHAT = "a table of rigid bodies of Qualisys Track Manager (NAME_6D.tsv)"
+EXPECTED_QUALISYS = "a table of rigid bodies of Qualisys Track Manager (NAME_6D.tsv)"
 
-MM = 1e-3
-"""Meters in a millimeter."""
 
 FRAME_COLUMNS = 2
 """Columns before the first body: the frame's number and its time."""
@@ -43,16 +42,16 @@ FRAME_COLUMNS = 2
 BODY_COLUMNS = 16
 """Numbers of a body; an empty column follows."""
 
-RESIDUAL = 6
+RESIDUAL_INDEX = 6
 """Which of a body's numbers is the residual; a negative one means that the body was not seen."""
 
-ROTATION = slice(7, 16)
+ROTATION_INDICES = slice(7, 16)
 """Which of a body's numbers are Rot[0] to Rot[8]."""
 
 ROTATION_TOLERANCE = 0.01
 """How far R^T R may be from the identity, in each of its elements."""
 
-NAMES = "BODY_NAMES"
+NAMES_WORD = "BODY_NAMES"
 """Word of the header's line that names the bodies."""
 
 MAX_FRAMES = 500_000
@@ -165,7 +164,7 @@ def read_bodies(path: Path) -> tuple[Array, dict[str, BodyTrack]]:
         PushLogError: the file cannot be read, has no frames, or a row is not of the form; the
             message names the file, the line and the form.
     """
-    lines = read_text(path, WHAT, PushLogError).splitlines()
+    lines = read_text(path, EXPECTED_QUALISYS, PushLogError).splitlines()
     header: dict[str, list[str]] = {}
     first = len(lines)
     for i, line in enumerate(lines):
@@ -176,7 +175,7 @@ def read_bodies(path: Path) -> tuple[Array, dict[str, BodyTrack]]:
         header.setdefault(cells[0].strip(), [cell.strip() for cell in cells[1:] if cell.strip()])
     rows = [(i + 1, line) for i, line in enumerate(lines) if i >= first and line.strip()]
     if not rows:
-        raise PushLogError(f"{path}: holds no frame; expected {WHAT}")
+        raise PushLogError(f"{path}: holds no frame; expected {EXPECTED_QUALISYS}")
     if len(rows) > MAX_FRAMES:
         raise PushLogError(f"{path}: holds {len(rows)} frames; expected at most {MAX_FRAMES}")
 
@@ -189,7 +188,7 @@ def read_bodies(path: Path) -> tuple[Array, dict[str, BodyTrack]]:
             f"{path}, line {number}: its time is not after the one above; expected times (s) that "
             "increase"
         )
-    names = header.get(NAMES, [])
+    names = header.get(NAMES_WORD, [])
     if len(names) != count:
         names = [str(i + 1) for i in range(count)]
     tracks = {}
@@ -252,9 +251,11 @@ def _make_track(path: Path, name: str, own: Array, lines: list[int]) -> BodyTrac
     Raises:
         PushLogError: Rot is no rotation matrix in a frame in which the body was seen.
     """
-    p = own[:, :3] * MM
-    R = own[:, ROTATION].reshape(-1, 3, 3).transpose(0, 2, 1)  # column after column in the file
-    lost = ~(own[:, RESIDUAL] >= 0) | ~own[:, ROTATION].any(axis=1)
+    p = own[:, :3] * M_PER_MM
+    R = (
+        own[:, ROTATION_INDICES].reshape(-1, 3, 3).transpose(0, 2, 1)
+    )  # column after column in the file
+    lost = ~(own[:, RESIDUAL_INDEX] >= 0) | ~own[:, ROTATION_INDICES].any(axis=1)
     off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2))
     wrong = ~lost & ((off > ROTATION_TOLERANCE) | (np.linalg.det(np.nan_to_num(R)) < 0))
     if wrong.any():

@@ -17,8 +17,9 @@ import numpy as np
 from gridpush_drake.errors import PushLogWarning
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.pushes.observed_push import ObservedPush
-from gridpush_drake.pushes.pose_delay import MS, ChosenDelay
-from gridpush_drake.pushes.segmentation import Episode, RecordOptions, Sample, find_motion
+from gridpush_drake.pushes.pose_delay import ChosenDelay
+from gridpush_drake.pushes.segmentation import RecordOptions, Sample, TipMotion, find_motion
+from gridpush_drake.units import MS_PER_S
 
 MAX_GAP = 6
 """Median periods of a track across which nothing is interpolated: a longer gap is left empty."""
@@ -41,7 +42,7 @@ class Tracks:
     poses: Array
 
 
-def make_episode(tracks: Tracks, record: RecordOptions) -> Episode | None:
+def make_episode(tracks: Tracks, record: RecordOptions) -> TipMotion | None:
     """Puts two tracks together as one motion of the tip, with the object's poses as they are timed.
 
     How late the object's poses are is not taken out here, but where the episode is written down
@@ -70,7 +71,7 @@ def make_episode(tracks: Tracks, record: RecordOptions) -> Episode | None:
         # The log begins with the push: then the object rests where it was first seen.
         first = next((one for one in path if np.isfinite(one.pose).all()), None)
         before = () if first is None else (first,)
-    return Episode(before=before, path=path, after=after)
+    return TipMotion(before=before, path=path, after=after)
 
 
 def _merge(tracks: Tracks) -> list[Sample]:
@@ -122,11 +123,11 @@ def warn_of_delay(path: Path, chosen: ChosenDelay, offset: float = 0.0) -> None:
     found = chosen.found
     if found is None:
         return
-    applied = not chosen.told_by and chosen.value == found.value
+    applied = not chosen.given_by and chosen.value == found.value
     if not (applied or chosen.is_contradicted):
         return
     total = found.value + offset
-    size = f"{total * MS:.0f} ± {found.std * MS:.0f} ms late, by {found.pushes} pushes"
+    size = f"{total * MS_PER_S:.0f} ± {found.std * MS_PER_S:.0f} ms late, by {found.pushes} pushes"
     what = (
         f"this was taken out; --object-delay {total:.4g} says so"
         if applied

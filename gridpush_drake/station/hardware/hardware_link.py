@@ -41,22 +41,22 @@ from gridpush_drake.station.links.link import (
     Unusable,
 )
 from gridpush_drake.station.links.record_forms import find_other_robot
-from gridpush_drake.station.robot import Robot
-from gridpush_drake.station.scenario import SafetyConfig
-from gridpush_drake.systems.arm_path import brake
-from gridpush_drake.systems.guard_status import (
-    BY_SILENCE,
-    BY_USER,
-    DONE,
-    GuardMode,
-    GuardStatus,
-    StopKind,
-)
+from gridpush_drake.station.robot.robot import Robot
+from gridpush_drake.station.schema.scenario import SafetyConfig
 from gridpush_drake.systems.robot_records import (
     ArmCommand,
     ArmStatus,
     GripperStatus,
     PoseObservation,
+)
+from gridpush_drake.systems.safety.arm_path import brake
+from gridpush_drake.systems.safety.guard_status import (
+    BY_SILENCE,
+    BY_USER,
+    RETREAT_DONE,
+    GuardMode,
+    GuardStatus,
+    StopKind,
 )
 
 PATIENCE = 5.0
@@ -91,7 +91,7 @@ LISTENING_PERIOD = 0.001
 """Longest time that one poll waits for records, s."""
 
 HALF = 0.5
-"""Share of a period after each status at which the station's time is, see `_receive`."""
+"""Fraction of a period after each status at which the station's time is, see `_receive`."""
 
 
 class HardwareLink:
@@ -165,7 +165,7 @@ class HardwareLink:
         self._listened = 0.0
         # The station's time at the last step; the time since the robot's last status; and the
         # robot's time when the station's was 0; all in s.
-        self._told = 0.0
+        self._command_time = 0.0
         self._waited = 0.0
         self._base = 0.0
         # Number of the gripper's periods at its last command.
@@ -260,14 +260,14 @@ class HardwareLink:
             self.report.causes.append(cause)
             self.report.traces.append("".join(traceback.format_exception(error)))
             self.note(cause)
-        self._stop = self._stop or DONE
+        self._stop = self._stop or RETREAT_DONE
 
     def finish(self, simulator: Simulator) -> None:
         """Brings the arm to rest and holds it; from then on no command goes out. See `Drive`.
 
         If the station or its guard fails, too, the arm is brought to rest from its last commands.
         """
-        self._stop = self._stop or DONE
+        self._stop = self._stop or RETREAT_DONE
         try:
             self._finish_by_guard(simulator)
         except (Exception, SystemExit) as error:
@@ -286,7 +286,7 @@ class HardwareLink:
 
     def note(self, text: str) -> None:
         """Adds to the log, at the station's time."""
-        self.report.events.append((self._told, text))
+        self.report.events.append((self._command_time, text))
 
     def _leave_out(self, why: str) -> None:
         """Counts what came and cannot be used, by why."""
@@ -353,7 +353,7 @@ class HardwareLink:
             self._station.RequestStop(context, self._stop)
         if target > now + ROUNDING:
             simulator.AdvanceTo(target)
-        self._told = context.get_time()
+        self._command_time = context.get_time()
         self._pass_out(context)
         own = self._station.GetMyContextFromRoot(context)
         status: GuardStatus = self._station.GetOutputPort("guard.status").Eval(own)
@@ -431,15 +431,15 @@ class HardwareLink:
             return
         self._silent = True
         if not jumped:
-            # the guard cannot tell this: its time goes on only with the robot's
-            told = (
+            # the guard cannot say this: its time goes on only with the robot's
+            silence = (
                 f"No usable status of the robot came for {self._waited:.2f} s; no command went out "
                 "meanwhile, and none will: the robot's driver brings the arm to rest"
             )
             if self._stop:  # the work was over anyway
-                self.note(told)
+                self.note(silence)
             else:
-                self._note_cause(told)
+                self._note_cause(silence)
         unusable = self._arm.describe_unusable()
         if unusable:
             self._note_cause(f"Since the last usable status {unusable}")

@@ -25,24 +25,24 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.station.arm import ArmPosture
-from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, STATUS_PORTS
-from gridpush_drake.station.camera import calc_pose_age
-from gridpush_drake.station.grasping import ExportOutputs
+from gridpush_drake.station.control.grasping import ExportOutputs
+from gridpush_drake.station.control.robot_control import (
+    AddRobotControl,
+    FeltLoad,
+    Learning,
+    RobotControl,
+)
 from gridpush_drake.station.links.link import ARM_PERIOD
-from gridpush_drake.station.others import list_others
-from gridpush_drake.station.resolve import ResolvedScenario, resolve
-from gridpush_drake.station.robot_control import AddRobotControl, FeltLoad, Learning, RobotControl
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene_camera import AddAllSeen, AddPosesTogether
-from gridpush_drake.station.setting import MakeSetting, Setting
-from gridpush_drake.station.station import Station
-from gridpush_drake.systems.arm_guard import ArmGuard
-from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor
-from gridpush_drake.systems.guard_status import GuardLimits
-from gridpush_drake.systems.object_watch import ObjectWatch
+from gridpush_drake.station.robot.arm import ArmPosture
+from gridpush_drake.station.robot.arm_driver import DRIVER_OUTPUTS, STATUS_PORTS
+from gridpush_drake.station.scene.camera import calc_pose_age
+from gridpush_drake.station.scene.other_objects import list_others
+from gridpush_drake.station.scene.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.scene.scene_camera import AddAllSeen, AddPosesTogether
+from gridpush_drake.station.scene.setting import MakeSetting, StationSetting
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.simulated.station import Station
 from gridpush_drake.systems.observed_pose import ObservedPose
-from gridpush_drake.systems.pusher_state_sensor import ArmTipSensor
 from gridpush_drake.systems.record_ports import RecordReader
 from gridpush_drake.systems.robot_records import (
     ArmCommand,
@@ -52,6 +52,11 @@ from gridpush_drake.systems.robot_records import (
     Numbers,
     PoseObservation,
 )
+from gridpush_drake.systems.safety.arm_guard import ArmGuard
+from gridpush_drake.systems.safety.guard_status import GuardLimits
+from gridpush_drake.systems.sensing.arm_load_sensor import ArmLoadSensor
+from gridpush_drake.systems.sensing.object_watch import ObjectWatch
+from gridpush_drake.systems.sensing.pusher_state_sensor import ArmTipSensor
 
 MAX_TILT = 0.1
 """A run begins only if the finger is turned by less than this from pointing down, rad."""
@@ -104,7 +109,7 @@ class TipBounds:
         return None
 
 
-def make_bounds(setting: Setting) -> TipBounds:
+def make_bounds(setting: StationSetting) -> TipBounds:
     """Makes the tip's bounds: a box around the scenario's workspace and home, with a margin."""
     scenario = setting.scenario
     margin = scenario.safety.margin
@@ -146,7 +151,7 @@ def make_limits(scenario: PushScenario, control_plant: MultibodyPlant) -> GuardL
     )
 
 
-def make_object_watch(setting: Setting, several: bool = False) -> ObjectWatch:
+def make_object_watch(setting: StationSetting, several: bool = False) -> ObjectWatch:
     """Makes the judge of whether a scenario's object moves as the finger moves it.
 
     Args:
@@ -216,7 +221,7 @@ class HardwareStation(Station):
     def __init__(
         self,
         builder: DiagramBuilder,
-        setting: Setting,
+        setting: StationSetting,
         control: RobotControl,
     ) -> None:
         """Builds the Diagram of a builder's systems; `MakeHardwareStation` calls it."""
@@ -361,7 +366,7 @@ def MakeHardwareStation(
         gripper_state = _AddGripperStatus(builder)
 
     # If the object is weighed, what the arm feels at its tip and in its gripper.
-    load = _add_load(builder, setting, status) if scenario.nothing_told else None
+    load = _add_load(builder, setting, status) if scenario.unknown_inertia else None
 
     # What commands the robot, as in the simulation; and between it and the arm, the guard.
     control = AddRobotControl(
@@ -441,7 +446,9 @@ def _AddObservedPose(
     return camera
 
 
-def _add_load(builder: DiagramBuilder, setting: Setting, status: dict[str, OutputPort]) -> FeltLoad:
+def _add_load(
+    builder: DiagramBuilder, setting: StationSetting, status: dict[str, OutputPort]
+) -> FeltLoad:
     """Adds what tells which forces the arm feels, and returns its ports."""
     robot = setting.robot
     grasp_frame = None if robot.gripper is None else robot.gripper.grasp_frame
@@ -460,7 +467,7 @@ def _add_load(builder: DiagramBuilder, setting: Setting, status: dict[str, Outpu
 
 def _AddGuard(
     builder: DiagramBuilder,
-    setting: Setting,
+    setting: StationSetting,
     control: RobotControl,
     status: dict[str, OutputPort],
     tip: ArmTipSensor,

@@ -8,9 +8,9 @@ from gridpush_drake.station.links.link import MILLISECONDS
 LATE_PERIOD = 0.01
 """A command that goes out longer than this after the last one counts as late, s."""
 
-SLOW_SHARE = 0.05
-"""If more than this share of the commands came late, or the controller paused, the computer was too
-slow."""
+SLOW_FRACTION = 0.05
+"""If more than this fraction of the commands came late, or the controller paused, the computer was
+too slow."""
 
 NOTED = 10
 """The log tells when a pause happened for the first so many of each kind; all are counted."""
@@ -45,21 +45,22 @@ class LinkReport:
     traces: list[str] = field(default_factory=list)
 
     @property
-    def late_share(self) -> float:
-        """The share of the commands that came late, 0 to 1."""
+    def late_fraction(self) -> float:
+        """The fraction of the commands that came late, 0 to 1."""
         return self.late / max(self.steps, 1)
 
     @property
     def slow(self) -> bool:
         """Whether this computer was too slow for the control loop."""
-        return self.pauses > 0 or self.late_share > SLOW_SHARE
+        return self.pauses > 0 or self.late_fraction > SLOW_FRACTION
 
     def describe_slowness(self) -> str:
         """Says how late the control loop was and what helps; "" if it was in time."""
         if not self.slow:
             return ""
         return (
-            f"The likely cause is a slow computer: {100 * self.late_share:.0f} % of the commands "
+            f"The likely cause is a slow computer: {100 * self.late_fraction:.0f} % of the "
+            "commands "
             f"came more than {MILLISECONDS * LATE_PERIOD:.0f} ms after the last one, the latest "
             f"after {MILLISECONDS * self.worst_period:.0f} ms. Close other programs; with a twin, "
             "start it and gridpush robot again with a smaller --realtime-rate."
@@ -76,7 +77,7 @@ class LinkReport:
         text = (
             f"{self.steps} commands, "
             f"the longest period {MILLISECONDS * self.worst_period:.1f} ms, "
-            f"{100 * self.late_share:.2f} % over {MILLISECONDS * LATE_PERIOD:.0f} ms; "
+            f"{100 * self.late_fraction:.2f} % over {MILLISECONDS * LATE_PERIOD:.0f} ms; "
             f"at most {self.force:.1f} N on the finger's tip"
         )
         if self.pauses:

@@ -24,23 +24,28 @@ from pydrake.systems.framework import DiagramBuilder
 from gridpush_drake.errors import PerceptionError
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.perception.detection import DetectedObject
-from gridpush_drake.perception.frames import Frame
-from gridpush_drake.perception.scene_tracking import SceneState, SceneTracker
-from gridpush_drake.perception.table_view import find_off_table
-from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
-from gridpush_drake.station.camera import LIVE, AddRgbdCamera
+from gridpush_drake.perception.detection.detection import DetectedObject
+from gridpush_drake.perception.images.frames import Frame
+from gridpush_drake.perception.images.table_view import find_off_table
+from gridpush_drake.perception.tracking.multi_object_tracking import SceneTracker, SceneTrackerState
+from gridpush_drake.perception.tracking.tracking import (
+    NOT_SEEN,
+    PoseTracker,
+    TrackedPose,
+    TrackerState,
+)
 from gridpush_drake.station.links.channel import Channel, count_reason
 from gridpush_drake.station.links.link import SKIPPED, Link, LinkMessage, Unusable
 from gridpush_drake.station.links.record_forms import find_frame_fault
-from gridpush_drake.station.others import list_others
-from gridpush_drake.station.resolve import ResolvedScenario, resolve
-from gridpush_drake.station.robot import GetRobotInPlant
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import AddScene
-from gridpush_drake.station.scene_camera import TrackedScene
-from gridpush_drake.systems.object_detector import ObjectNaming, find_in_frame
+from gridpush_drake.station.robot.robot import GetRobotInPlant
+from gridpush_drake.station.scene.camera import LIVE_TRACKER, AddRgbdCamera
+from gridpush_drake.station.scene.contents import AddScene
+from gridpush_drake.station.scene.other_objects import list_others
+from gridpush_drake.station.scene.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.scene.scene_camera import TrackedScene
+from gridpush_drake.station.schema.scenario import PushScenario
 from gridpush_drake.systems.robot_records import ArmStatus, GripperStatus, PoseObservation
+from gridpush_drake.systems.sensing.object_detector import ObjectNaming, find_in_frame
 
 STATUSES = 1000
 """Number of the arm's last statuses that are remembered: some seconds."""
@@ -75,7 +80,7 @@ class RobotSilhouette:
         self.table_top = resolved.table_top
         rgbd = AddRgbdCamera(builder, self.plant, scene_graph, scenario, [])
         self.camera = rgbd.camera
-        self._labels = list(rgbd.hidden_by)
+        self._labels = list(rgbd.occluded_by)
         self._sensor = rgbd.sensor
         self._robot = GetRobotInPlant(self.plant, resolved.robot)
         self.num_joints = self.plant.num_positions(self._robot.arm)
@@ -178,7 +183,7 @@ class PictureTracker:
         self._last = -np.inf
         # What follows several objects; None for a single one.
         self._scene: SceneTracker | None = None
-        self._scene_state: SceneState | None = None
+        self._scene_state: SceneTrackerState | None = None
         if others:
             tracked = TrackedScene(scenario, resolved.obj, others)
             self._scene = tracked.make_tracker(self._silhouette.camera, self._silhouette.table_top)
@@ -265,7 +270,7 @@ class PictureTracker:
                 self.obj.outline,
                 self.obj.height or self._scenario.object_height,
                 self._silhouette.camera,
-                options=LIVE,
+                options=LIVE_TRACKER,
                 table_top=self._silhouette.table_top,
             )
         try:

@@ -25,12 +25,9 @@ from gridpush_drake.station.hardware.hardware_link import HardwareLink
 from gridpush_drake.station.links.ros2.ros2_link import Ros2Link
 from gridpush_drake.station.links.ros2.ros2_topics import WORLD
 from gridpush_drake.station.links.ros2.ros2_writer import write_pose
-from gridpush_drake.station.task import StationTask
-from gridpush_drake.systems.guard_status import (
-    GuardMode,
-    GuardStatus,
-)
-from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.station.tasks.task import StationTask
+from gridpush_drake.systems.base.messages import PushCommand
+from gridpush_drake.systems.safety.guard_status import GuardMode, GuardStatus
 
 PERIOD = 0.2
 """Least time between two looks at what is to be published, s, by the node's clock."""
@@ -39,7 +36,7 @@ CELL_HEIGHT = 0.005
 """Height of the cells that are shown, m."""
 
 SEEN_SIZE = 0.95
-"""Side of a cell that is shown, as a share of its true side: so that cells can be told apart."""
+"""Side of a cell that is shown, as a fraction of its true side: so that cells can be told apart."""
 
 PARTS = {
     "center_of_mass": ("geometry_msgs", "PoseWithCovarianceStamped"),

@@ -14,18 +14,16 @@ from pydrake.systems.primitives import LinearSystem
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, STATUS_PORTS, AddArmDriver
-from gridpush_drake.station.camera import StationCamera
-from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
+from gridpush_drake.station.control.grasping import AddGripperController, ExportOutputs
+from gridpush_drake.station.control.sensors import AddSensors
 from gridpush_drake.station.links.link import ARM_PERIOD, GRIPPER_PERIOD, Record
-from gridpush_drake.station.others import AddOtherCameras, SetOthersStart
-from gridpush_drake.station.resolve import ResolvedScenario, resolve
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.sensors import AddSensors
-from gridpush_drake.station.setting import Setting
-from gridpush_drake.station.station_plant import AddWorld, World
-from gridpush_drake.systems.command_ramp import CommandRamp
-from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
+from gridpush_drake.station.robot.arm_driver import DRIVER_OUTPUTS, STATUS_PORTS, AddArmDriver
+from gridpush_drake.station.scene.camera import StationCamera
+from gridpush_drake.station.scene.other_objects import AddOtherCameras, SetOthersStart
+from gridpush_drake.station.scene.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.scene.setting import StationSetting
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.simulated.plant import AddWorld, World
 from gridpush_drake.systems.record_ports import RecordReader, RecordSender
 from gridpush_drake.systems.robot_records import (
     ArmCommand,
@@ -34,6 +32,8 @@ from gridpush_drake.systems.robot_records import (
     GripperStatus,
     PoseObservation,
 )
+from gridpush_drake.systems.safety.command_ramp import CommandRamp
+from gridpush_drake.systems.sensing.planar_pose_sensor import PlanarPoseSensor
 
 TORQUE = "torque_external"
 """Name of the port of an arm's driver with the torques from outside."""
@@ -50,7 +50,7 @@ SendRecord = Callable[[Record], None]
 """A function that takes what a twin says, such as a link's `send`."""
 
 
-def _AddCommandRamp(builder: DiagramBuilder, setting: Setting) -> CommandRamp:
+def _AddCommandRamp(builder: DiagramBuilder, setting: StationSetting) -> CommandRamp:
     """Adds what brings the arm to rest when commands stop coming, as a real arm's driver does."""
     safety = setting.scenario.safety
     speed = setting.control_plant.GetVelocityUpperLimits()
@@ -231,7 +231,7 @@ def MakeTwin(scenario: PushScenario | ResolvedScenario, send: SendRecord) -> Twi
     scenario = resolved.scenario
     builder = DiagramBuilder()
     # Of several objects the tracker is told the outlines: then no photograph is taken.
-    world = AddWorld(builder, resolved, told=bool(resolved.others))
+    world = AddWorld(builder, resolved, is_known=bool(resolved.others))
     setting = world.setting
     plant = world.plant
     robot = setting.robot

@@ -15,14 +15,14 @@ from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.perception.frames import Frame
-from gridpush_drake.station.camera import AddRgbdCamera
+from gridpush_drake.perception.images.frames import Frame
 from gridpush_drake.station.links.link import Link
-from gridpush_drake.station.others import list_parts
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import format_scenario, parse_scenario
-from gridpush_drake.station.station_plant import AddWorld
+from gridpush_drake.station.scene.camera import AddRgbdCamera
+from gridpush_drake.station.scene.other_objects import list_parts
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import format_scenario, parse_scenario
+from gridpush_drake.station.simulated.plant import AddWorld
 
 ENDS_WITHIN = 5.0
 """Longest time that the process may take to end once nothing is asked of it any more, s."""
@@ -47,7 +47,7 @@ class TwinCamera:
         """
         builder = DiagramBuilder()
         resolved = resolve(scenario.model_copy(deep=True))
-        world = AddWorld(builder, resolved, told=bool(resolved.others))
+        world = AddWorld(builder, resolved, is_known=bool(resolved.others))
         camera = AddRgbdCamera(
             builder,
             world.plant,

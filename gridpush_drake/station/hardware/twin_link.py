@@ -13,7 +13,7 @@ from gridpush_drake.station.hardware.twin import Twin
 from gridpush_drake.station.links.channel import count_reason
 from gridpush_drake.station.links.link import Link, Unusable
 from gridpush_drake.station.links.record_forms import find_form_fault
-from gridpush_drake.station.robot import Robot
+from gridpush_drake.station.robot.robot import Robot
 from gridpush_drake.systems.robot_records import ArmCommand, GripperCommand
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from gridpush_drake.station.links.link import Link, LinkMessage
 
-QUEUED = 1000
+MAX_QUEUED_RECORDS = 1000
 """Largest number of records that wait for one end to receive them. Beyond it the oldest one is
 dropped, as by a network whose buffers are full."""
 
@@ -25,8 +25,8 @@ class InProcessLink(Link):
     @classmethod
     def make_pair(cls) -> tuple["InProcessLink", "InProcessLink"]:
         """The two ends of a link: what is sent at one is received at the other."""
-        there: deque[LinkMessage] = deque(maxlen=QUEUED)
-        back: deque[LinkMessage] = deque(maxlen=QUEUED)
+        there: deque[LinkMessage] = deque(maxlen=MAX_QUEUED_RECORDS)
+        back: deque[LinkMessage] = deque(maxlen=MAX_QUEUED_RECORDS)
         return cls(there, back), cls(back, there)
 
     def receive(self, timeout: float) -> Sequence[LinkMessage]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.images.frames import Frame
 from gridpush_drake.systems.robot_records import (
     ArmCommand,
     ArmStatus,

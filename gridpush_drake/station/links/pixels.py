@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.errors import ImageError
-from gridpush_drake.perception.frames import MILLIMETERS, Depth
+from gridpush_drake.perception.images.frames import Depth
+from gridpush_drake.units import MM_PER_M
 
 FARTHEST = 1e3
 """Greatest depth that counts as measured, m. Beyond it, and below 0, a pixel's depth is unknown."""
@@ -48,6 +49,6 @@ def read_rows(
 
 def convert_depth(pixels: NDArray[Any]) -> Depth:
     """Converts depth that came in mm (whole numbers) or m to m; 0 where it is not known."""
-    meters = pixels / MILLIMETERS if pixels.dtype.kind == "u" else pixels
+    meters = pixels / MM_PER_M if pixels.dtype.kind == "u" else pixels
     known = (meters >= 0.0) & (meters <= FARTHEST)  # false for NaN
     return np.where(known, meters, 0.0).astype(np.float32)

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.images.camera import Camera
+from gridpush_drake.perception.images.frames import Frame
 from gridpush_drake.systems.robot_records import (
     ArmCommand,
     ArmStatus,

@@ -15,9 +15,9 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.station.robot import Robot
+from gridpush_drake.station.robot.robot import Robot
 
-ORIGIN = np.zeros(3)
+FRAME_ORIGIN = np.zeros(3)
 
 
 class TipLoad:
@@ -41,7 +41,7 @@ class TipLoad:
         self._plant.SetPositions(self._context, np.asarray(q, float))
         world = self._plant.world_frame()
         J = self._plant.CalcJacobianSpatialVelocity(
-            self._context, JacobianWrtVariable.kV, self._flange, ORIGIN, world, self._flange
+            self._context, JacobianWrtVariable.kV, self._flange, FRAME_ORIGIN, world, self._flange
         )
         wrench = np.concatenate([np.asarray(torque, float), np.asarray(force, float)])
         return np.asarray(J.T @ wrench)
@@ -60,7 +60,7 @@ class TipLoad:
         self._plant.SetPositions(self._context, np.asarray(q, float))
         world = self._plant.world_frame()
         J = self._plant.CalcJacobianTranslationalVelocity(
-            self._context, JacobianWrtVariable.kV, self._tip, ORIGIN, world, self._flange
+            self._context, JacobianWrtVariable.kV, self._tip, FRAME_ORIGIN, world, self._flange
         )
         force = np.linalg.lstsq(J.T, np.asarray(torque, float))[0]
         p_FP = self._tip.CalcPose(self._context, self._flange).translation()

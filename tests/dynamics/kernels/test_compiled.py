@@ -79,11 +79,13 @@ def test_the_digest_follows_every_file_of_the_folder(tmp_path, monkeypatch, chan
     kernels, copy = Path(compiled.__file__).parent, tmp_path / "kernels"
     digest = calc_digest(kernels / "step.py")
     shutil.copytree(kernels, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(compiled, "KERNELS", copy)
+    monkeypatch.setattr(compiled, "KERNELS_FOLDER", copy)
     calc = compiled.calc_digest.__wrapped__
     assert calc(copy / "step.py") == digest
     if change == "edit":
-        (copy / "contact.py").write_text((copy / "contact.py").read_text() + "\n# changed\n")
+        (copy / "contact" / "contact.py").write_text(
+            (copy / "contact" / "contact.py").read_text() + "\n# changed\n"
+        )
     else:
         (copy / "new_law.py").write_text("")
     assert calc(copy / "step.py") != digest
@@ -106,14 +108,14 @@ def test_folders_that_nobody_used_for_long_are_removed_by_whoever_makes_a_new_on
     ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "something.nbi").write_bytes(b"")
-        os.utime(tmp_path / name, (now, now - age * compiled.UNUSED))
+        os.utime(tmp_path / name, (now, now - age * compiled.MAX_UNUSED_TIME))
     find = compiled.find_cache_folder.__wrapped__
     with ThreadPoolExecutor(4) as pool:
         assert set(pool.map(find, [source] * 8)) == {mine}
     assert {path.name for path in tmp_path.iterdir()} == {mine.name, *kept}
     (mine / "something.nbi").write_bytes(b"")
-    os.utime(mine, (now, now - 9 * compiled.UNUSED))
-    assert find(source) == mine and time.time() - mine.stat().st_mtime < compiled.UNUSED
+    os.utime(mine, (now, now - 9 * compiled.MAX_UNUSED_TIME))
+    assert find(source) == mine and time.time() - mine.stat().st_mtime < compiled.MAX_UNUSED_TIME
 
 
 class User:
@@ -159,7 +161,7 @@ def user(tmp_path, monkeypatch, capsys):
 def test_the_first_call_that_compiles_says_so_and_one_that_finds_all_compiled_says_nothing(user):
     assert user.call() == (4.0, 1, [])
     user.file.unlink()
-    assert user.call() == (4.0, 0, [compiled.NOTICE])
+    assert user.call() == (4.0, 0, [compiled.COMPILING_NOTICE])
 
 
 @pytest.mark.parametrize(("arrives", "hits"), [(True, 1), (False, 0)])
@@ -177,7 +179,7 @@ def test_a_kernel_that_another_process_compiles_is_waited_for(user, tmp_path, ar
         return arrives
 
     with compiled.filled_by(compiled.Others(frozenset({user.source}), is_at_work)):
-        assert user.call() == (4.0, hits, [compiled.NOTICE])
+        assert user.call() == (4.0, hits, [compiled.COMPILING_NOTICE])
     assert looks == [False] * 3
     user.file.unlink()
     with compiled.filled_by(compiled.Others(frozenset(), is_at_work)):
@@ -200,7 +202,7 @@ def spoil(content, how, seed):
 def test_a_damaged_file_is_compiled_anew_and_one_line_names_the_folder(user, how):
     user.file.write_bytes(spoil(user.file.read_bytes(), how, seed=len(how)))
     damaged = f"gridpush: a damaged file in {user.file.parent} is compiled anew"
-    assert user.call() == (4.0, 0, [damaged, compiled.NOTICE])
+    assert user.call() == (4.0, 0, [damaged, compiled.COMPILING_NOTICE])
     assert user.call() == (4.0, 1, [])
 
 
@@ -253,7 +255,7 @@ def test_what_others_can_write_is_not_read(user, tmp_path, place, mode, said):
     value, hits, lines = user.call()
     assert (value, hits) == (4.0, 0)
     assert not (tmp_path / "trace").exists()
-    assert lines[-1] == compiled.NOTICE
+    assert lines[-1] == compiled.COMPILING_NOTICE
     assert len(lines) == (1 if said is None else 2)
     if said is not None:
         assert lines[0].startswith(f"gridpush: {user.cache} is not used for compiled kernels: ")
@@ -302,7 +304,7 @@ def test_the_home_folder_is_asked_for_only_where_it_is_needed(monkeypatch, tmp_p
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert compiled._list_places() == [tmp_path]
     monkeypatch.delenv("NUMBA_CACHE_DIR")
-    assert compiled._list_places() == [compiled.KERNELS / "__pycache__"]
+    assert compiled._list_places() == [compiled.KERNELS_FOLDER / "__pycache__"]
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert compiled._list_places()[0] == tmp_path / "gridpush_drake"
 

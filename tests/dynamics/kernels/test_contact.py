@@ -5,9 +5,9 @@ import pytest
 import shapely
 from shapely import LineString, Point, Polygon, box
 
-from gridpush_drake.dynamics.kernels.contact import (
+from gridpush_drake.dynamics.kernels.contact.contact import (
     BEND,
-    COLUMNS,
+    CONTACT_COLUMNS,
     CX,
     CY,
     GAP,
@@ -34,7 +34,7 @@ def kernel_edges(outline):
 
 
 def find(outline, center, radius=0.005, reach=0.01):
-    contacts = np.zeros((2, COLUMNS))
+    contacts = np.zeros((2, CONTACT_COLUMNS))
     count = find_contacts(
         kernel_edges(outline), float(center[0]), float(center[1]), radius, reach, contacts
     )
@@ -175,7 +175,11 @@ def test_a_disc_inside_a_hole_touches_it_from_within():
 def test_looking_ahead_takes_the_place_from_there_and_the_gap_from_here():
     """Towards the end of a side and round its corner: the gap to an edge is that to its line, to a corner the least."""
     square = Polygon(rectangle(0.1, 0.1))
-    edges, found, ahead = kernel_edges(square), np.zeros((2, COLUMNS)), np.zeros((2, COLUMNS))
+    edges, found, ahead = (
+        kernel_edges(square),
+        np.zeros((2, CONTACT_COLUMNS)),
+        np.zeros((2, CONTACT_COLUMNS)),
+    )
 
     def look(x, dx):
         find_contacts(edges, x, 0.056, 0.005, 0.01, found)
@@ -236,7 +240,7 @@ def test_the_edges_near_the_disc_say_what_all_edges_say(seed):
     outline, rng = make_random_outline(seed), np.random.default_rng(seed)
     edges = kernel_edges(outline)
     near = make_near_edges(edges)
-    found = [np.zeros((2, COLUMNS)) for _ in range(4)]
+    found = [np.zeros((2, CONTACT_COLUMNS)) for _ in range(4)]
     place = np.array(outline.exterior.coords[0])
     radius, counts, chosen = 0.006, [], []
     for _ in range(3000):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.kernels.contact import COLUMNS, CX, CY, GAP, NX, NY
-from gridpush_drake.dynamics.kernels.contact_modes import (
+from gridpush_drake.dynamics.kernels.contact.contact import CONTACT_COLUMNS, CX, CY, GAP, NX, NY
+from gridpush_drake.dynamics.kernels.contact.contact_modes import (
     SEPARATE,
     SLIDE_PLUS,
     STICK,
@@ -14,8 +14,8 @@ from gridpush_drake.dynamics.kernels.contact_modes import (
     build_contact_system,
     solve_modes,
 )
+from gridpush_drake.dynamics.kernels.friction.isotropic_friction import add_isotropic
 from gridpush_drake.dynamics.kernels.integrate_pose import calc_turn
-from gridpush_drake.dynamics.kernels.isotropic_friction import add_isotropic
 
 DT = 0.01
 
@@ -26,7 +26,7 @@ def draw_problem(rng):
     k = rng.dirichlet(np.ones(30))
     angle = rng.uniform(-np.pi, np.pi)
     normal = np.array([np.cos(angle), np.sin(angle)])
-    contacts = np.zeros((2, COLUMNS))
+    contacts = np.zeros((2, CONTACT_COLUMNS))
     contacts[0, [NX, NY]] = normal
     contacts[0, [CX, CY]] = -0.1 * normal + rng.uniform(-0.03, 0.03, 2)
     contacts[0, GAP] = rng.uniform(-1e-4, 1e-4)

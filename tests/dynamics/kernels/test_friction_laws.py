@@ -4,8 +4,8 @@ import numba
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.kernels import friction
-from gridpush_drake.dynamics.kernels.friction import LAWS
+from gridpush_drake.dynamics.kernels.friction import laws as friction
+from gridpush_drake.dynamics.kernels.friction.laws import FRICTION_LAWS
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
@@ -18,7 +18,7 @@ from tests.helpers.shapes import make_shape
 
 EPS, ARM, CELL_SIZE = 1e-3, 0.004, 0.01
 HAT, PUSH = np.array([0.02, -0.01, 0.3]), np.array([0.1, 0.2, -1.0])
-CASES = [(name, spin) for name, law in LAWS.items() for spin in law.spin_models]
+CASES = [(name, spin) for name, law in FRICTION_LAWS.items() for spin in law.spin_models]
 
 
 @numba.njit
@@ -51,7 +51,7 @@ class Case:
 
     def __init__(self, name, spin, seed, known):
         rng = np.random.default_rng(seed)
-        self.make = lambda k: LAWS[name].make(np.array(k), ARM, spin)
+        self.make = lambda k: FRICTION_LAWS[name].make(np.array(k), ARM, spin)
         self.known = known
         self.cells = np.array(make_random_object(rng, 12, CELL_SIZE).p_BC.T, order="C")
         self.k = rng.uniform(0.1, 1.0, 12)
@@ -110,18 +110,18 @@ def test_dissipation_is_convex_and_the_majorizing_hessian_is_no_flatter(name, sp
 
 
 @pytest.mark.parametrize("regime", ["inertial", "quasi_static"])
-@pytest.mark.parametrize("name", list(LAWS))
+@pytest.mark.parametrize("name", list(FRICTION_LAWS))
 def test_a_push_is_simulated_with_every_law_or_refused(name, regime):
     obj = make_shape("square", 16)
     params, push = CellParameters.uniform(obj, 1.0, 0.3), Push((-0.07, 0.01), (0.1, 0.0), 0.5, 0.01)
-    if regime not in LAWS[name].regimes:
+    if regime not in FRICTION_LAWS[name].regimes:
         with pytest.raises(SimulationError, match=name):
             simulate(Model(obj, params, Physics(name, regime)), push)
         return
     motion = simulate(Model(obj, params, Physics(name, regime)), push)
     assert motion.status == "ok"
     assert motion.final_pose[0] > 0.01
-    if True not in LAWS[name].gradients:
+    if True not in FRICTION_LAWS[name].gradients:
         with pytest.raises(SimulationError, match=name):
             simulate(Model(obj, params, Physics(name, regime)), push, gradients=True)
         return

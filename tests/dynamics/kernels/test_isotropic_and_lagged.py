@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
-from gridpush_drake.dynamics.kernels.isotropic_friction import add_isotropic, fill_cell_forces
-from gridpush_drake.dynamics.kernels.lagged_friction import add_lagged
+from gridpush_drake.dynamics.kernels.friction.friction_law import SPIN_LEVER_ARM
+from gridpush_drake.dynamics.kernels.friction.isotropic_friction import (
+    add_isotropic,
+    fill_cell_forces,
+)
+from gridpush_drake.dynamics.kernels.friction.lagged_friction import add_lagged
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.random_objects import make_random_object
 
@@ -112,7 +115,7 @@ def test_coupled_spin_is_the_mean_over_the_cell_s_points_in_both_limits_and_near
     for v in (0.0, 1e-3, 3e-3, 1e-2, 1e-1):
         mean = np.hypot(v - r[:, 1], r[:, 0]).mean()  # w = 1 rad/s
         s = calc_dissipation(
-            np.zeros((1, 2)), np.ones(1), SPIN_ARM * side, 0.0, np.array([v, 0.0, 1.0])
+            np.zeros((1, 2)), np.ones(1), SPIN_LEVER_ARM * side, 0.0, np.array([v, 0.0, 1.0])
         )
         worst = max(worst, abs(s / mean - 1))
         if v in (0.0, 0.1):

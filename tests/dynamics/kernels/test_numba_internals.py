@@ -13,7 +13,7 @@ import pytest
 from numba.core import codegen, compiler, cpu, serialize
 
 from gridpush_drake.dynamics.kernels import numba_internals
-from gridpush_drake.dynamics.kernels.contact import Edges
+from gridpush_drake.dynamics.kernels.contact.contact import Edges
 from gridpush_drake.dynamics.kernels.forward_sensitivity import Columns
 from gridpush_drake.dynamics.kernels.numba_internals import NumbaCache, make_dispatcher
 from gridpush_drake.errors import NumbaError
@@ -98,7 +98,7 @@ def list_closed_and_shared(caller):
         for linkage, _ in definitions
     }
     closed, shared = names.get("internal", set()), names.get("linkonce_odr", set())
-    return closed, {name for name in shared if not name.startswith(numba_internals.RUNTIME)}
+    return closed, {name for name in shared if not name.startswith(numba_internals.RUNTIME_PREFIX)}
 
 
 @pytest.mark.parametrize("loaded", [False, True])
@@ -187,7 +187,7 @@ def test_what_a_version_of_numba_lacks_is_named(monkeypatch, owner, name, call):
         call()
     message = str(caught.value)
     assert message.startswith(f"Numba {numba.__version__} has no attribute {name} of numba.core.")
-    assert message.endswith(f"pip install 'numba=={numba_internals.KNOWN}.*'")
+    assert message.endswith(f"pip install 'numba=={numba_internals.KNOWN_NUMBA_VERSION}.*'")
 
 
 class Empty:

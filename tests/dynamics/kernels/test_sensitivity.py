@@ -140,8 +140,8 @@ def test_contact_location_is_the_derivative_by_arc_length(regime):
     for shape in ("square", "triangle", "l_bracket", "claw_hammer"):
         obj = make_shape(shape, 20)
         params = make_random_contents(np.random.default_rng(1), obj)
-        for share in (0.1, 0.37, 0.8):
-            where = np.array(share * obj.edges.perimeter)
+        for fraction in (0.1, 0.37, 0.8):
+            where = np.array(fraction * obj.edges.perimeter)
 
             def run(s, obj=obj, params=params, gradients=False):
                 push = Push.on_outline(

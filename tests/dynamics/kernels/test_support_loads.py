@@ -28,9 +28,9 @@ def run_kernel_loads(obj, params, friction, table=None, pose=(0.0, 0.0, 0.0)):
     state = make_state(np.array(pose), np.zeros(3), 0.0, 0.0)
     held = find_loads(support, np.array(obj.p_BC.T, order="C"), obj.cell_size, state, loads, k)
     np.testing.assert_allclose(
-        k, params.friction * params.mass * loads.share * params.total_mass * GRAVITY, rtol=1e-12
+        k, params.friction * params.mass * loads.fraction * params.total_mass * GRAVITY, rtol=1e-12
     )
-    return params.total_mass * GRAVITY * params.mass * loads.share if held else None
+    return params.total_mass * GRAVITY * params.mass * loads.fraction if held else None
 
 
 @pytest.mark.parametrize("shape", ["square", "l_bracket", "claw_hammer"])
@@ -144,11 +144,11 @@ def test_tips_when_the_center_of_mass_passes_the_edge(inside, status):
 
 
 @pytest.mark.parametrize("share, status", [(0.9, "ok"), (1.1, "tips")])
-def test_tips_over_its_own_edge_when_pushed_high(share, status):
+def test_tips_over_its_own_edge_when_pushed_high(fraction, status):
     obj = make_shape("square", 100)
     half = obj.p_BC[:, 0].max() + obj.cell_size / 2
     params = CellParameters(
-        np.full(obj.n, 0.01), np.full(obj.n, 0.5), 0.3, push_height=share * half / 0.5
+        np.full(obj.n, 0.01), np.full(obj.n, 0.5), 0.3, push_height=fraction * half / 0.5
     )
     motion = simulate(
         Model(obj, params),

@@ -5,7 +5,7 @@ import pytest
 from pydrake.solvers import MathematicalProgram, MobyLcpSolver, UnrevisedLemkeSolver
 from shapely import box
 
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.friction.friction_law import SPIN_LEVER_ARM
 from gridpush_drake.dynamics.reference.maximal_lcp import make_maximal_lcp
 from gridpush_drake.dynamics.reference.maximal_solvers import (
     solve_as_lcp,
@@ -104,19 +104,19 @@ def test_a_long_chain_of_the_largest_size_is_solved_to_round_off(seed):
 
 
 @pytest.mark.parametrize("share, moves", [(0.999, False), (1.001, True)])
-def test_the_static_limit_is_mu_m_g(share, moves):
+def test_the_static_limit_is_mu_m_g(fraction, moves):
     step = make_random_step(7)
     obj = step.obj
     params = CellParameters(step.params.mass, np.full(obj.n, 0.4))
     F = np.zeros(3 * obj.n)
     F[1::3] = (
-        share * 0.4 * params.mass * 9.81
-    )  # every cell is pulled by what it can just bear, but for the share
+        fraction * 0.4 * params.mass * 9.81
+    )  # every cell is pulled by what it can just bear, but for the fraction
     lcp = make_maximal_lcp(Model(obj, params), step.q, np.zeros(3 * obj.n), F, DT)
     solution = solve_as_qp(lcp)
     assert (np.abs(solution.xdot).max() > 1e-6) == moves
     if moves:
-        np.testing.assert_allclose(solution.xdot[1::3], (share - 1) * 0.4 * 9.81 * DT, rtol=1e-9)
+        np.testing.assert_allclose(solution.xdot[1::3], (fraction - 1) * 0.4 * 9.81 * DT, rtol=1e-9)
 
 
 def test_velocities_decay_by_mu_g_dt():
@@ -132,7 +132,7 @@ def test_velocities_decay_by_mu_g_dt():
 def calc_step_energy(step, nu, spin):
     """The convex function that the isotropic step minimizes, written out cell by cell."""
     obj, params = step.obj, step.params
-    s, m, arm = obj.cell_size, params.mass, SPIN_ARM * obj.cell_size
+    s, m, arm = obj.cell_size, params.mass, SPIN_LEVER_ARM * obj.cell_size
     r = obj.cells_at(step.q) - step.q[:2]
     change = nu - step.nu
     energy = -DT * (step.T.T @ step.F) @ nu
@@ -180,7 +180,7 @@ def test_the_isotropic_step_balances_momentum(spin):
         if np.abs(nu[2]) < 1e-6:
             continue  # the rotation sticks, and its moment is not determined by the motion
         after = (T @ nu).reshape(n, 3)
-        impulse, b, arm = np.zeros((n, 3)), lcp.bound[:n], SPIN_ARM * s
+        impulse, b, arm = np.zeros((n, 3)), lcp.bound[:n], SPIN_LEVER_ARM * s
         speed = np.sqrt((after[:, 1:] ** 2).sum(axis=1) + (arm * nu[2]) ** 2 * (spin == "coupled"))
         impulse[:, 1:] = -(b / speed)[:, None] * after[:, 1:]
         impulse[:, 0] = {

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE
-from gridpush_drake.dynamics.kernels.scene.contact_rows import COMPLIANCE, PAIR_COMPLIANCE
+from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE
+from gridpush_drake.dynamics.kernels.scene.contact_rows import PAIR_COMPLIANCE, PUSHER_COMPLIANCE
 from gridpush_drake.dynamics.kernels.scene.records import (
     FRICTION,
     OTHER_CX,
@@ -37,7 +37,7 @@ from tests.helpers.shapes import SHAPES
 
 DT = 0.02
 AGREEMENT = 1e-6
-"""Greatest difference of the cells' velocities, as a share of the pusher's speed."""
+"""Greatest difference of the cells' velocities, as a fraction of the pusher's speed."""
 
 
 def read_contacts(contacts, scale):
@@ -47,9 +47,9 @@ def read_contacts(contacts, scale):
     for ids, numbers in zip(contacts.ids[:count], contacts.numbers[:count], strict=True):
         first = ContactSide(int(ids[0]), numbers[[ROW_NX, ROW_NY]], numbers[[ROW_CX, ROW_CY]])
         second = None
-        share = COMPLIANCE
+        fraction = PUSHER_COMPLIANCE
         if ids[1] >= 0:
-            share = PAIR_COMPLIANCE
+            fraction = PAIR_COMPLIANCE
             second = ContactSide(
                 int(ids[1]), numbers[[OTHER_NX, OTHER_NY]], numbers[[OTHER_CX, OTHER_CY]]
             )
@@ -60,7 +60,7 @@ def read_contacts(contacts, scale):
                 numbers[[TIP_VX, TIP_VY]],
                 float(numbers[ROW_GAP]),
                 float(numbers[FRICTION]),
-                share * scale,
+                fraction * scale,
             )
         )
     return found

@@ -7,7 +7,7 @@ from gridpush_drake.identification.baselines.search import (
     MASS_SPREAD,
     Bounds,
     CellLoss,
-    Search,
+    LossSearch,
     SearchStatus,
     SearchStopped,
     run_search,
@@ -65,7 +65,7 @@ def test_loss_is_the_mean_cell_distance_over_observed_times():
     assert make_loss()(params, "here") == pytest.approx(np.mean(means), rel=1e-9)
 
 
-class TruthTold:
+class KnownTruth:
     """A method that knows the answer."""
 
     physics = INERTIAL
@@ -76,7 +76,7 @@ class TruthTold:
 
 
 def test_truth_converges_at_once():
-    result = run_search(TruthTold(), BLOCK.obj, BLOCK.log, BLOCK.start, BOUNDS, budget=10**6)
+    result = run_search(KnownTruth(), BLOCK.obj, BLOCK.log, BLOCK.start, BOUNDS, budget=10**6)
     assert result.status == SearchStatus.CONVERGED
     assert result.params is BLOCK.truth
     assert result.simulations == len(BLOCK.log)
@@ -122,7 +122,7 @@ def test_refuses_a_push_without_observation():
 
 
 def test_cube_is_logarithmic_between_the_bounds():
-    search = Search(make_loss(), BLOCK.start, BOUNDS, seed=0)
+    search = LossSearch(make_loss(), BLOCK.start, BOUNDS, seed=0)
     n = BLOCK.obj.n
     assert search.start.shape == (2 * n,)
     back = search.params(search.start)
@@ -135,12 +135,12 @@ def test_cube_is_logarithmic_between_the_bounds():
 
 
 def test_equal_bounds_hold_a_parameter():
-    search = Search(make_loss(), BLOCK.start, Bounds((0.005, 0.5), (0.4, 0.4)), seed=0)
+    search = LossSearch(make_loss(), BLOCK.start, Bounds((0.005, 0.5), (0.4, 0.4)), seed=0)
     assert search.start.shape == (BLOCK.obj.n,)
     assert (search.params(np.zeros(BLOCK.obj.n)).friction == 0.4).all()
 
 
 def test_begins_within_the_bounds():
     heavy = CellParameters(np.full(BLOCK.obj.n, 9.0), np.full(BLOCK.obj.n, 0.4))
-    search = Search(make_loss(), heavy, BOUNDS, seed=0)
+    search = LossSearch(make_loss(), heavy, BOUNDS, seed=0)
     np.testing.assert_allclose(search.params(search.start).mass, 0.5)

@@ -436,7 +436,7 @@ def test_asking_the_rules_in_blocks_picks_the_same_pushes(monkeypatch):
         )
         picked = [screen(runner)]
         for block in (1, 5):
-            monkeypatch.setattr(limit_surface, "BLOCK", block)
+            monkeypatch.setattr(limit_surface, "BLOCK_SIZE", block)
             picked.append(screen(runner))
         monkeypatch.undo()
         assert len(picked[0].arc_length) > 2

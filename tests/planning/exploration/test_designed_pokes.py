@@ -10,7 +10,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.statistics.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.exploration.designed_pokes import (
@@ -107,12 +107,12 @@ def test_the_center_s_derivatives_agree_with_differences(hammer):
     F, step = make_center_functional(model), 1e-6
     for i in (0, 11, hammer.n):
         dz = step * np.eye(hammer.n + 1)[i]
-        shares = [
-            Posterior(posterior.mean + sign * dz, np.eye(1), np.eye(1)).calc_share()
+        fractions = [
+            Posterior(posterior.mean + sign * dz, np.eye(1), np.eye(1)).calc_fraction()
             for sign in (1, -1)
         ]
         np.testing.assert_allclose(
-            F[:, i], (shares[0] - shares[1]) @ hammer.p_BC / (2 * step), atol=1e-9
+            F[:, i], (fractions[0] - fractions[1]) @ hammer.p_BC / (2 * step), atol=1e-9
         )
     np.testing.assert_allclose(make_center_functional(model, [0.6, 0.8]), [[0.6, 0.8]] @ F)
 
@@ -122,8 +122,8 @@ def test_how_far_the_center_can_be_has_the_derivatives_that_differences_say(hamm
     d, bounds = np.array([0.6, 0.8]), (0.2, 0.6)
 
     def calc_farthest(z):
-        share = Posterior(z, np.eye(1), np.eye(1)).calc_share()[None]
-        return calc_farthest_center(hammer.p_BC @ d, share / bounds[1], share / bounds[0])
+        fraction = Posterior(z, np.eye(1), np.eye(1)).calc_fraction()[None]
+        return calc_farthest_center(hammer.p_BC @ d, fraction / bounds[1], fraction / bounds[0])
 
     model = UncertainModel(hammer, CellParameters.uniform(hammer), posterior, friction_range=bounds)
     check_jacobian(calc_farthest, posterior.mean, make_farthest_functional(model, d))

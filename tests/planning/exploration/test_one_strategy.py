@@ -18,9 +18,9 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.identify_task import make_policy
-from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.station.tasks.identify_task import make_policy
 
 HERE = np.zeros(3)
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
@@ -41,10 +41,10 @@ def poke_for_a_goal():
 
 def poke_in_the_game():
     pytest.importorskip("gymnasium")
-    from gridpush_drake.bench.gym import PLANNED, EnvironmentWorld
+    from gridpush_drake.bench.games.environments import PLANNER_EPISODES, EnvironmentWorld
     from gridpush_drake.gym import PushEnvironment
 
-    PLANNED["Explore"](EnvironmentWorld(PushEnvironment("Explore"), 3), 3)
+    PLANNER_EPISODES["Explore"](EnvironmentWorld(PushEnvironment("Explore"), 3), 3)
 
 
 @pytest.mark.parametrize(

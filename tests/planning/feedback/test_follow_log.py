@@ -13,9 +13,9 @@ from gridpush_drake.planning.feedback import (
     FollowLog,
     FollowOptions,
     LcpFingerWorld,
+    PoseSensorModel,
     PushFollower,
     SeenPose,
-    Sight,
     follow,
 )
 from gridpush_drake.planning.loop_run import Learner
@@ -27,7 +27,7 @@ TRUTH = CellParameters.by_part(OBJ, {1: 0.03, 2: 0.3}, 0.4, 0.4)
 EVEN = CellParameters.uniform(OBJ)
 FINGER = FeedbackFinger(radius=0.01)
 FEW = FollowOptions(strokes=40, changes=60, draws=0)
-SHARP = Sight(position_std=1e-4, angle_std=5e-4)
+SHARP = PoseSensorModel(position_std=1e-4, angle_std=5e-4)
 GOAL = (0.12, 0.08, 0.6)
 
 

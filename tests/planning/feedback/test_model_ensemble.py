@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.kernels.finger_push import STATE, THETA, TIP_X, TIP_Y, X, follow_tip
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
+    STATE_SIZE,
+    THETA,
+    TIP_X,
+    TIP_Y,
+    X,
+    follow_tip,
+)
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback import (
@@ -13,12 +20,12 @@ from gridpush_drake.planning.feedback import (
     FollowOptions,
     LcpFingerWorld,
     PosePath,
+    PoseSensorModel,
     PushFollower,
-    Sight,
     follow,
 )
 from gridpush_drake.planning.feedback.model_ensemble import EnsembleOptions, ModelEnsemble
-from gridpush_drake.planning.feedback.pose_path import ObjectWay
+from gridpush_drake.planning.feedback.pose_path import PathProgress
 from gridpush_drake.planning.feedback.pushed_object import make_model
 from tests.helpers.made_identifications import make_block
 
@@ -37,7 +44,7 @@ def draw_models(count, seed=0):
 
 def push_across(model, offset, length=0.06):
     """Pushes the block in y at some x; returns poses (K, 3) and the finger's path (K, 2)."""
-    state = np.zeros(STATE)
+    state = np.zeros(STATE_SIZE)
     state[TIP_X : TIP_Y + 1] = (offset, -0.03 - RADIUS)
     tips = np.column_stack([np.full(60, offset), np.linspace(-0.04, -0.04 + length, 60)])
     poses = np.empty((len(tips), 3))
@@ -124,10 +131,10 @@ def follow_arc(ensemble):
     finger = FeedbackFinger(radius=RADIUS)
     options = FollowOptions(strokes=40, changes=60, draws=2, ensemble=ensemble)
     follower = PushFollower(OBJ, EVEN, path, finger, draws=draw_models(24), options=options)
-    world = LcpFingerWorld(OBJ, TRUTH, np.zeros(3), (-0.09, 0.0), RADIUS, Sight(), 3)
+    world = LcpFingerWorld(OBJ, TRUTH, np.zeros(3), (-0.09, 0.0), RADIUS, PoseSensorModel(), 3)
     run = follow(follower, world, 12.0)
     centers = np.array([OBJ.cells_at(pose).mean(axis=0) for pose in run.poses])
-    return float(np.sqrt((ObjectWay(OBJ, path).measure_distance(centers) ** 2).mean()))
+    return float(np.sqrt((PathProgress(OBJ, path).measure_distance(centers) ** 2).mean()))
 
 
 def test_a_path_is_kept_better_where_the_model_is_corrected():

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from shapely import Point, box, get_coordinates, unary_union
 
-from gridpush_drake.dynamics.kernels.finger_push import STATE, THETA, TIP_X, X, follow_tip
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
+    STATE_SIZE,
+    THETA,
+    TIP_X,
+    X,
+    follow_tip,
+)
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
@@ -20,13 +26,13 @@ from gridpush_drake.planning.feedback import (
     FollowStatus,
     LcpFingerWorld,
     PosePath,
+    PoseSensorModel,
     PushFollower,
-    Sight,
     follow,
 )
 from gridpush_drake.planning.feedback.follow_log import SeenPose
 from gridpush_drake.planning.feedback.follow_options import AT_GOAL
-from gridpush_drake.planning.feedback.pose_path import ObjectWay
+from gridpush_drake.planning.feedback.pose_path import PathProgress
 from gridpush_drake.planning.feedback.pushed_object import make_model, make_room
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -36,7 +42,7 @@ OBJ = make_block(12)
 TRUTH = CellParameters.by_part(OBJ, {1: 0.05, 2: 0.2}, 0.4, 0.4)
 FINGER = FeedbackFinger(radius=0.01)
 FEW = FollowOptions(strokes=40, changes=60, refinements=2, draws=0)
-BLIND = Sight(delay=0.15, missing=0.2)
+BLIND = PoseSensorModel(delay=0.15, missing=0.2)
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
 GOAL = np.array([0.12, 0.08, 0.6])
 BESIDE = np.array([-0.15, 0.0])
@@ -69,7 +75,7 @@ def test_the_search_moves_the_object_as_simulate_does():
     tips = np.array([[-0.08, 0.004], [-0.055, 0.004], [-0.04, 0.006], [-0.03, 0.014]])
     push = Push.along(np.arange(4.0), tips, FINGER.radius)
     expected = simulate(Model(OBJ, TRUTH, Physics(regime="quasi_static")), push).final_pose
-    state = np.zeros(STATE)
+    state = np.zeros(STATE_SIZE)
     state[TIP_X : TIP_X + 2] = tips[0]
     follow_tip(make_model(OBJ, TRUTH, FINGER.radius), state, tips[1:])
     assert np.abs(expected).max() > 0.01
@@ -93,7 +99,7 @@ def test_a_finger_that_passes_by_moves_nothing():
 
 
 def test_a_late_pose_is_carried_on_to_now():
-    sight = Sight(delay=0.15, missing=0.3, position_std=0.0, angle_std=0.0)
+    sight = PoseSensorModel(delay=0.15, missing=0.3, position_std=0.0, angle_std=0.0)
     world = make_world(sight=sight, tip=(-0.07, 0.0))
     follower = make_follower(GOAL)
     follower.add_tip(world.time, world.tip)
@@ -112,7 +118,7 @@ def test_follows_a_path_though_poses_are_late_and_missing():
     path = make_arc()
     world = make_world(tip=(-0.07, 0.0))
     run = follow(make_follower(path), world)
-    way = ObjectWay(OBJ, path)
+    way = PathProgress(OBJ, path)
     off = way.measure_distance(transform(run.poses, OBJ.p_BC.mean(axis=0)[None])[:, 0])
     assert run.status == FollowStatus.REACHED
     assert np.sqrt((off**2).mean()) < 2e-3
@@ -129,7 +135,7 @@ def test_goes_round_to_the_goal_and_back_to_it_after_a_shove():
     distance, turn = measure(world.pose, GOAL)
     assert distance < 2.0
     assert turn < 1.0
-    world.shove(world.pose + [0.02, -0.022, np.radians(20)])
+    world.disturb(world.pose + [0.02, -0.022, np.radians(20)])
     # it is seen, and no longer counts as reached
     for _ in range(20):
         for seen in world.move((0.0, 0.0)):
@@ -144,7 +150,7 @@ def test_goes_round_to_the_goal_and_back_to_it_after_a_shove():
 
 
 def test_follows_a_goal_that_moves():
-    world = make_world(sight=Sight(delay=0.1))
+    world = make_world(sight=PoseSensorModel(delay=0.1))
     follower = make_follower(GOAL, constraints=PushConstraints(TABLE))
     room = follower._room
     follower.add_tip(world.time, world.tip)
@@ -307,7 +313,7 @@ def test_reaches_the_goal_though_the_object_is_disturbed_three_times():
     rng = np.random.default_rng(0)
     for k in range(300):
         if k in (10, 25, 40):
-            world.shove(world.pose + rng.uniform(-1, 1, 3) * [0.03, 0.03, 0.35])
+            world.disturb(world.pose + rng.uniform(-1, 1, 3) * [0.03, 0.03, 0.35])
         decision = follower.decide(world.time, world.tip)
         if decision.status == FollowStatus.REACHED and k > 40:
             break
@@ -393,7 +399,7 @@ def test_refuses_what_makes_no_sense():
     with pytest.raises(PlanningError, match="finger: radius"):
         FeedbackFinger(radius=0.0)
     with pytest.raises(PlanningError, match="missing is 2"):
-        Sight(missing=2)
+        PoseSensorModel(missing=2)
     for poses in ([[0.0, 0.0, 0.0]], np.zeros((3, 3)), [[0.0, np.inf, 0.0], [1.0, 0.0, 0.0]]):
         with pytest.raises(PlanningError, match="path: "):
             PosePath(poses, 0.05)
@@ -405,7 +411,7 @@ def test_refuses_what_makes_no_sense():
 
 def test_a_way_is_measured_by_the_centroid_and_found_again():
     path = make_arc()
-    way = ObjectWay(OBJ, path)
+    way = PathProgress(OBJ, path)
     place = way.at(0.1)
     assert way.project(place[:2], float(place[2]), 0.09) == pytest.approx(0.1, abs=2e-3)
     assert np.linalg.norm(way.along(0.1)) == pytest.approx(1.0)
@@ -414,4 +420,4 @@ def test_a_way_is_measured_by_the_centroid_and_found_again():
     middle = OBJ.p_BC.mean(axis=0)
     turned = transform(np.array([0.0, 0.0, 1.0]), middle[None])[0]
     turn = PosePath([[0.0, 0.0, 0.0], [*(middle - turned), 1.0]], 0.05)
-    assert ObjectWay(OBJ, turn).length == pytest.approx(OBJ.radius_of_gyration)
+    assert PathProgress(OBJ, turn).length == pytest.approx(OBJ.radius_of_gyration)

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from shapely import LineString
 
-from gridpush_drake.dynamics.kernels.walk_round import find_way
+from gridpush_drake.dynamics.kernels.contact.walk_round import find_way
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.planning.feedback.ways import CLEARANCE, make_ways
+from gridpush_drake.planning.feedback.ways import DISC_CLEARANCE, make_outline_path
 
 RADIUS = 0.008
 STEP = 0.02
 OBJECTS = ("toolbox", "claw_hammer", "combination_wrench", "spray_bottle")
 
 
-def make_object_ways(name):
+def make_outline_paths(name):
     obj = GridObject.from_yaml(find_shipped_object(name))
-    return obj, make_ways(obj.outline, RADIUS)
+    return obj, make_outline_path(obj.outline, RADIUS)
 
 
 def find_starts(ways):
@@ -41,11 +41,11 @@ def walk(ways, begin, aim, turn, most):
 @pytest.mark.parametrize("name", OBJECTS)
 @pytest.mark.parametrize("turn", [-1, 1])
 def test_a_finger_gets_from_everywhere_to_everywhere_but_into_notches(name, turn):
-    obj, ways = make_object_ways(name)
+    obj, ways = make_outline_paths(name)
     hull = obj.outline.convex_hull
     most = int(2 * hull.length / STEP)
     starts = find_starts(ways)
-    near = obj.outline.buffer(CLEARANCE * RADIUS)
+    near = obj.outline.buffer(DISC_CLEARANCE * RADIUS)
     for start in starts:
         nearest = ways.ring[np.linalg.norm(ways.ring - start, axis=1).argmin()]
         opposite = starts[np.linalg.norm(starts - start, axis=1).argmax()]
@@ -57,8 +57,8 @@ def test_a_finger_gets_from_everywhere_to_everywhere_but_into_notches(name, turn
 
 @pytest.mark.parametrize("name", OBJECTS)
 def test_neighbors_on_the_ring_see_each_other(name):
-    obj, ways = make_object_ways(name)
-    near = obj.outline.convex_hull.buffer(CLEARANCE * RADIUS)
+    obj, ways = make_outline_paths(name)
+    near = obj.outline.convex_hull.buffer(DISC_CLEARANCE * RADIUS)
     following = np.roll(ways.ring, -1, axis=0)
     for place, after in zip(ways.ring, following, strict=True):
         assert not near.intersects(LineString([place, after]))

@@ -9,22 +9,22 @@ from scipy.optimize import linprog
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import make_rotation
-from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.identification.absolute.force_scale import ForceScale
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
-from gridpush_drake.planning.pregrasp.grasp_parts import (
+from gridpush_drake.planning.pregrasp.grasp.grasp_parts import (
     find_flat_parts,
     find_held_grasps,
     find_held_parts,
 )
-from gridpush_drake.planning.pregrasp.gripper import USED_SHARE, Gripper, PadLimit
+from gridpush_drake.planning.pregrasp.grasp.gripper import USED_FRACTION, Gripper, PadLimit
+from gridpush_drake.planning.pregrasp.grasp.side_grasp import find_side_grasps
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlanStatus, plan_pregrasp
-from gridpush_drake.planning.pregrasp.side_grasp import find_side_grasps
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.shapes import rectangle
@@ -63,19 +63,21 @@ def test_the_limit_is_where_no_pressure_balances_the_weight(weight):
         d = rng.uniform(-1.6, 1.6, 2) * pads.torques / weight
         along = np.array([np.cos(heading), np.sin(heading)])
         center = at + d[0] * along + d[1] * np.array([-along[1], along[0]])
-        (share,) = pads.calc_shares(at[None], np.array([heading]), center[None])
-        if abs(share - 1.0) > 1e-6:
-            assert (share < 1.0) == can_balance(pads, d), (d, share)
-            seen.add(bool(share < 1.0))
+        (fraction,) = pads.calc_fractions(at[None], np.array([heading]), center[None])
+        if abs(fraction - 1.0) > 1e-6:
+            assert (fraction < 1.0) == can_balance(pads, d), (d, fraction)
+            seen.add(bool(fraction < 1.0))
     assert seen == ({True, False} if weight < 80.0 else {False})
 
 
 def test_the_worst_center_of_mass_counts():
     pads = PadLimit(GRIPPER, 80.0, 10.0)
     corners = np.array([(0.03, 0.0), (0.05, 0.01), (0.04, -0.02)])
-    (share,) = pads.calc_shares(np.zeros((1, 2)), np.zeros(1), corners)
-    each = [pads.calc_shares(np.zeros((1, 2)), np.zeros(1), corner[None])[0] for corner in corners]
-    assert share == max(each) == pytest.approx(10.0 * 0.05 / 0.96)
+    (fraction,) = pads.calc_fractions(np.zeros((1, 2)), np.zeros(1), corners)
+    each = [
+        pads.calc_fractions(np.zeros((1, 2)), np.zeros(1), corner[None])[0] for corner in corners
+    ]
+    assert fraction == max(each) == pytest.approx(10.0 * 0.05 / 0.96)
 
 
 def place(part, back, front, width):
@@ -138,12 +140,12 @@ def test_a_tray_is_brought_to_the_edge_and_a_part_hangs_over_that_the_pads_hold(
     plan = plan_pregrasp(planner, UncertainModel.of_parameters(Model(obj, params)), (0.1, 0.2, 0.3))
     assert plan.status == PreGraspPlanStatus.READY, plan.message
     assert len(plan.pushes) >= 1
-    (share,) = planner.pads.calc_shares(
+    (fraction,) = planner.pads.calc_fractions(
         plan.goal.part.p_BG[None],
         np.array([plan.goal.part.heading]),
         params.center_of_mass(obj)[None],
     )
-    assert 0.1 < share <= USED_SHARE
+    assert 0.1 < fraction <= USED_FRACTION
     assert plan.goal.margin > 0.0
 
 

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 import shapely
 
+from gridpush_drake.bench.data.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.bench.pregrasp.world import EdgeWorld, run_pregrasp
-from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.statistics.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -23,8 +23,8 @@ from gridpush_drake.planning.pregrasp.goals import (
     find_grasp_at,
     find_pregrasp_goals,
 )
-from gridpush_drake.planning.pregrasp.grasp_parts import find_grasp_parts
-from gridpush_drake.planning.pregrasp.gripper import Gripper
+from gridpush_drake.planning.pregrasp.grasp.grasp_parts import find_grasp_parts
+from gridpush_drake.planning.pregrasp.grasp.gripper import Gripper
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlanStatus, plan_pregrasp
 from gridpush_drake.planning.pregrasp.push_monitor import PushMonitor

@@ -12,8 +12,8 @@ from shapely.affinity import affine_transform
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.planning.pregrasp.gripper import Gripper
-from gridpush_drake.planning.pregrasp.side_grasp import choose_varied, find_side_grasps
+from gridpush_drake.planning.pregrasp.grasp.gripper import Gripper
+from gridpush_drake.planning.pregrasp.grasp.side_grasp import choose_varied, find_side_grasps
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.made_identifications import make_block
 

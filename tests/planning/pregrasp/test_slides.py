@@ -21,7 +21,7 @@ from gridpush_drake.planning.edge_motion import (
 )
 from gridpush_drake.planning.pregrasp import slides
 from gridpush_drake.planning.pregrasp.goals import find_pregrasp_goals
-from gridpush_drake.planning.pregrasp.grasp_parts import find_grasp_parts
+from gridpush_drake.planning.pregrasp.grasp.grasp_parts import find_grasp_parts
 from gridpush_drake.planning.pregrasp.slides import SlideOptions, plan_slide
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -189,5 +189,5 @@ def test_a_push_is_given_up_once_too_many_draws_leave_nothing_of_it(slide_task, 
     monkeypatch.setattr(slides, "follow_near_edge", follow)
     assert plan_slide(**slide_task) is None
     assert followed
-    assert set(followed) == {slides.BLOCK}
+    assert set(followed) == {slides.BLOCK_SIZE}
     assert len(followed) <= SlideOptions().proposals

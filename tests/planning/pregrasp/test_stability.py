@@ -7,11 +7,11 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.polygons import calc_margin_inside, find_weakest_direction, hull_of
-from gridpush_drake.identification.hypotheses import SmoothField
+from gridpush_drake.identification.fit.hypotheses import SmoothField
+from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
 from gridpush_drake.identification.learning import describe_prior
-from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.noise import NoiseModel
+from gridpush_drake.identification.statistics.noise import NoiseModel
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.edge_motion import simulate_near_edge
@@ -71,18 +71,20 @@ def solve_linear_program(p, least, most, direction):
 def test_the_worst_center_of_mass_is_the_linear_program_s(seed):
     rng = np.random.default_rng(seed)
     obj = make_random_object(rng, 25)
-    share = rng.dirichlet(np.full(25, 0.5)) + 1e-4
+    fraction = rng.dirichlet(np.full(25, 0.5)) + 1e-4
     low, high = 0.2, 0.2 * rng.uniform(1, 10)
-    masses = PlausibleMassSet(obj, share[None] / high, share[None] / low)
+    masses = PlausibleMassSet(obj, fraction[None] / high, fraction[None] / low)
     directions = make_directions(12)
-    expected = [solve_linear_program(obj.p_BC, share / high, share / low, d) for d in directions]
+    expected = [
+        solve_linear_program(obj.p_BC, fraction / high, fraction / low, d) for d in directions
+    ]
     np.testing.assert_allclose(masses.calc_support(directions), expected, atol=1e-9)
 
 
 def test_a_uniform_rod_s_worst_center_is_known(rod):
     ratio = 4.0
-    share = np.full((1, rod.n), 1 / rod.n)
-    far = PlausibleMassSet(rod, share / ratio, share).calc_support([[1.0, 0.0]])[0]
+    fraction = np.full((1, rod.n), 1 / rod.n)
+    far = PlausibleMassSet(rod, fraction / ratio, fraction).calc_support([[1.0, 0.0]])[0]
     # light to the left of x, heavy to the right of it: (x + L/2)² = ratio (L/2 - x)²
     expected = LENGTH * np.sqrt(ratio) / (1 + np.sqrt(ratio)) - LENGTH / 2
     assert far == pytest.approx(expected, abs=rod.cell_size / 4)
@@ -90,12 +92,12 @@ def test_a_uniform_rod_s_worst_center_is_known(rod):
 
 def test_the_polygon_holds_every_center_of_mass_of_the_set(hammer):
     rng = np.random.default_rng(3)
-    share = rng.dirichlet(np.ones(hammer.n))
-    masses = PlausibleMassSet(hammer, share[None] / 0.6, share[None] / 0.2)
+    fraction = rng.dirichlet(np.ones(hammer.n))
+    masses = PlausibleMassSet(hammer, fraction[None] / 0.6, fraction[None] / 0.2)
     hull = shapely.Polygon(masses.center_of_mass_polygon)
     for i in range(200):
         mu = np.where(hammer.p_BC @ make_directions(200)[i] > rng.uniform(-0.1, 0.1), 0.2, 0.6)
-        mass = share / mu
+        mass = fraction / mu
         assert hull.buffer(1e-9).contains(shapely.Point(mass @ hammer.p_BC / mass.sum()))
 
 

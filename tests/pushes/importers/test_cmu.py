@@ -123,8 +123,8 @@ def test_standstill_is_dropped_and_time_increases_from_zero(lines, write):
 def test_force_on_the_object(lines, write):
     seen = import_cmu(write(lines), shuffle=False)[0][0]
     assert seen.force_t[-1] < seen.push.duration
-    share = (seen.force_t + 4 * 0.03) / (69 * 0.03)
-    np.testing.assert_allclose(seen.force, share[:, None] * turned(-2.0, FORCE), atol=1e-6)
+    fraction = (seen.force_t + 4 * 0.03) / (69 * 0.03)
+    np.testing.assert_allclose(seen.force, fraction[:, None] * turned(-2.0, FORCE), atol=1e-6)
 
 
 def test_steps_of_the_log_are_taken_out_of_a_straight_path(write):

@@ -7,12 +7,12 @@ import pytest
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from gridpush_drake.station.hardware import HardwareLink, MakeHardwareStation
-from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.links import InProcessLink, TipLoad, Unusable
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.robot import make_robot_directives
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.task import TaskStatus
+from gridpush_drake.station.robot.robot import make_robot_directives
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.tasks.identify_task import IdentifyTask
+from gridpush_drake.station.tasks.task import TaskStatus
 from gridpush_drake.systems.robot_records import ArmCommand, ArmStatus, PoseObservation
 from tests.helpers.link_bench import LinkBench
 

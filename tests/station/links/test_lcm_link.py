@@ -25,7 +25,7 @@ from gridpush_drake.station.links.lcm.lcm_messages import (
     encode_gripper_status,
 )
 from gridpush_drake.station.links.link import SKIPPED, LinkRole
-from gridpush_drake.station.robot import find_robot, make_robot_directives
+from gridpush_drake.station.robot.robot import find_robot, make_robot_directives
 from gridpush_drake.systems.robot_records import (
     ArmCommand,
     ArmStatus,

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from gridpush_drake.errors import ImageError, StationError
 from gridpush_drake.geometry.se2 import calc_yaw
-from gridpush_drake.station.camera import make_camera
 from gridpush_drake.station.links.link import LinkRole
 from gridpush_drake.station.links.ros2.ros2_link import Ros2Link
 from gridpush_drake.station.links.ros2.ros2_pictures import (
@@ -20,9 +19,10 @@ from gridpush_drake.station.links.ros2.ros2_pictures import (
 from gridpush_drake.station.links.ros2.ros2_reader import find_orientation_fault
 from gridpush_drake.station.links.ros2.ros2_robot import GripperJoints, MakeRosRobot
 from gridpush_drake.station.links.ros2.ros2_topics import import_ros, name_object_topic
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scene.camera import make_camera
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import read_scenario
 from tests.helpers import ros2_processes
 
 OBSTACLE = ros2_processes.find_obstacle()
@@ -49,7 +49,7 @@ def test_names_are_the_models_and_the_gripper_opens_as_its_joints_do():
     assert (robot.command, robot.load) == ("trajectory", "effort")
     assert robot.gripper.names == ("left_finger_sliding_joint", "right_finger_sliding_joint")
     assert robot.gripper.calc_position(0.06) == pytest.approx([-0.03, 0.03])
-    assert robot.gripper.calc_share(np.array([-0.03, 0.03])) == pytest.approx(0.6)
+    assert robot.gripper.calc_fraction(np.array([-0.03, 0.03])) == pytest.approx(0.6)
 
 
 def test_each_object_has_topics_of_its_own():
@@ -62,7 +62,7 @@ def test_a_gripper_of_one_turning_joint_is_wide_open_at_another_end():
     robotiq = GripperJoints(("finger_joint",), np.array([0.8]), np.array([0.0]), 0.085)
     assert robotiq.calc_position(0.085) == pytest.approx([0.0])
     assert robotiq.calc_position(0.0) == pytest.approx([0.8])
-    assert 0.085 * robotiq.calc_share(np.array([0.4])) == pytest.approx(0.0425)
+    assert 0.085 * robotiq.calc_fraction(np.array([0.4])) == pytest.approx(0.0425)
 
 
 def make_quaternion(roll, yaw):

@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gridpush_drake.perception.frames import Frame
-from gridpush_drake.station.camera import make_camera
+from gridpush_drake.perception.images.frames import Frame
 from gridpush_drake.station.links.link import Unusable
 from gridpush_drake.station.links.ros2.ros2_reader import MAX_WRENCH_AGE, Ros2Reader
 from gridpush_drake.station.links.ros2.ros2_robot import MakeRosRobot
@@ -21,8 +20,9 @@ from gridpush_drake.station.links.ros2.ros2_topics import (
     WRENCH,
 )
 from gridpush_drake.station.links.ros2.ros2_writer import Ros2Writer
-from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scene.camera import make_camera
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario_file import read_scenario
 from gridpush_drake.systems.robot_records import (
     ArmCommand,
     ArmStatus,

@@ -14,14 +14,14 @@ from typing import Any
 from gridpush_drake.dynamics.kernels import numba_internals
 from gridpush_drake.dynamics.kernels.compiled import KernelCache
 
-FOLDER = Path(__file__).parent
+SCENE_KERNELS_FOLDER = Path(__file__).parent
 
 
 @cache
 def calc_digest() -> str:
     """Hashes the files of this package."""
     digest = hashlib.sha256()
-    for file in sorted(FOLDER.glob("*.py")):
+    for file in sorted(SCENE_KERNELS_FOLDER.glob("*.py")):
         digest.update(file.name.encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()
 

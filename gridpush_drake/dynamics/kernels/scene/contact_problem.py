@@ -40,7 +40,7 @@ is a solution with the term and does not change any more is one without it.
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.contact_modes import (
+from gridpush_drake.dynamics.kernels.contact.contact_modes import (
     SEPARATE,
     SLIDE_MINUS,
     SLIDE_PLUS,
@@ -49,7 +49,7 @@ from gridpush_drake.dynamics.kernels.contact_modes import (
 from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.complementary_pivoting import solve_complementarity
 from gridpush_drake.dynamics.kernels.scene.contact_rows import (
-    UNKNOWNS,
+    CONTACT_UNKNOWNS,
     calc_compliance,
     calc_row_velocity,
     couple,
@@ -59,7 +59,7 @@ from gridpush_drake.dynamics.kernels.scene.contact_system import solve_modes
 from gridpush_drake.dynamics.kernels.scene.records import FIRST_BODY, FRICTION, SECOND_BODY
 
 MODE_TOLERANCE = 1e-9
-"""Violation of the contact conditions, as a share of load and speed, that counts as none."""
+"""Violation of the contact conditions, as a fraction of load and speed, that counts as none."""
 
 _ALL_AT_ONCE = 5
 """Attempts in which all contacts that break their promise change their modes."""
@@ -68,7 +68,7 @@ _ONE_BY_ONE = 5
 """Attempts in which only the worst one does."""
 
 _SLIGHT = 1e-11
-"""Force of a contact, as a share of the load, that is none; and distance from its cone."""
+"""Force of a contact, as a fraction of the load, that is none; and distance from its cone."""
 
 
 @kernel(allocates=False)
@@ -82,7 +82,7 @@ def check_modes(contacts, xi, scales, work):
         work: `ContactWork`; its `next_modes` are filled with the modes that would fit better.
 
     Returns:
-        The worst violation, as a share of load and speed, and its contact; -1 if there is none.
+        The worst violation, as a fraction of load and speed, and its contact; -1 if there is none.
     """
     load = scales.load
     speed = scales.speed
@@ -205,7 +205,7 @@ def _fill_pivoting(contacts, count, scales, compliance, work):
         Its size.
     """
     table = work.pivoting.table
-    size = UNKNOWNS * count
+    size = CONTACT_UNKNOWNS * count
     unit = scales.load / scales.speed
     # nothing yet but d, which is one everywhere
     for i in range(size):
@@ -219,7 +219,7 @@ def _fill_pivoting(contacts, count, scales, compliance, work):
             respond(work.inverse, work.rows[q], ends[0], ends[1], work.responses[q])
     for c in range(count):
         r = work.included[c]
-        first = UNKNOWNS * c
+        first = CONTACT_UNKNOWNS * c
         i = work.ends[2 * r, 0]
         j = work.ends[2 * r, 1]
         for k in range(2):
@@ -229,7 +229,7 @@ def _fill_pivoting(contacts, count, scales, compliance, work):
             line = table[first + k]
             for d in range(count):
                 other = work.included[d]
-                column = UNKNOWNS * d
+                column = CONTACT_UNKNOWNS * d
                 ends = work.ends[2 * other]
                 normal = couple(row, i, j, work.responses[2 * other], ends[0], ends[1])
                 tangential = couple(row, i, j, work.responses[2 * other + 1], ends[0], ends[1])
@@ -237,7 +237,7 @@ def _fill_pivoting(contacts, count, scales, compliance, work):
                 line[column + 1] = unit * tangential
             line[first + k] += unit * compliance[0 if j < 0 else 1]
             for d in range(count):
-                line[UNKNOWNS * d + 2] = -line[UNKNOWNS * d + 1]
+                line[CONTACT_UNKNOWNS * d + 2] = -line[CONTACT_UNKNOWNS * d + 1]
             velocity = calc_row_velocity(row, i, j, work.start) - work.asked[p]
             line[size + 1] = velocity / scales.speed
         # the slip the other way, gamma in both, and the cone
@@ -266,8 +266,8 @@ def _read_pivoting(contacts, xi, count, scales, work):
         contacts.lam[r, 1] = 0.0
     for c in range(count):
         r = work.included[c]
-        normal = z[UNKNOWNS * c]
-        tangential = z[UNKNOWNS * c + 1] - z[UNKNOWNS * c + 2]
+        normal = z[CONTACT_UNKNOWNS * c]
+        tangential = z[CONTACT_UNKNOWNS * c + 1] - z[CONTACT_UNKNOWNS * c + 2]
         if normal <= _SLIGHT:
             mode = SEPARATE
         elif contacts.numbers[r, FRICTION] * normal - abs(tangential) > _SLIGHT:
@@ -319,7 +319,7 @@ def solve_contacts(contacts, xi, scales, work):
         work: `ContactWork`, with S^-1, S^-1 rhs and the rows of J.
 
     Returns:
-        The worst violation of the contact conditions, as a share of load and speed.
+        The worst violation of the contact conditions, as a fraction of load and speed.
     """
     compliance = calc_compliance(contacts, scales)
     worst = _improve(contacts, xi, scales, compliance, work)

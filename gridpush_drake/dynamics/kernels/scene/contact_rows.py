@@ -25,13 +25,13 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     TIP_VY,
 )
 
-COMPLIANCE = 1e-9
-"""Compliance of the pusher's contacts where there is more than one, as a share of speed/load.
+PUSHER_COMPLIANCE = 1e-9
+"""Compliance of the pusher's contacts where there is more than one, as a fraction of speed/load.
 
 It makes contacts that share a load in more than one way well posed."""
 
 PAIR_COMPLIANCE = 1e-5
-"""Compliance of two bodies' contacts, as a share of speed/load.
+"""Compliance of two bodies' contacts, as a fraction of speed/load.
 
 Bodies that touch at three places and more would squeeze each other by any force wherever their gaps
 disagree by a rounding error. So soft, a contact that bears the whole load gives way by 10 µm for
@@ -39,7 +39,7 @@ each meter of the push, along the contact; across it, the gap that this leaves i
 the next step."""
 
 
-UNKNOWNS = 4
+CONTACT_UNKNOWNS = 4
 """Unknowns of a contact in the complementarity problem, see `contact_problem`."""
 
 
@@ -133,7 +133,7 @@ def make_contact_work(n, room):
         B=np.zeros((size, 1)),
         next_modes=np.zeros(room, np.int64),
         included=np.zeros(room, np.int64),
-        pivoting=make_pivoting(UNKNOWNS * room),
+        pivoting=make_pivoting(CONTACT_UNKNOWNS * room),
     )
 
 
@@ -228,7 +228,7 @@ def calc_compliance(contacts, scales):
     That of two bodies goes with the pusher's speed, which does not hang on where the bodies are.
     """
     several = contacts.counts[0] > 1
-    finger = COMPLIANCE * scales.speed / scales.load if several else 0.0
+    finger = PUSHER_COMPLIANCE * scales.speed / scales.load if several else 0.0
     return finger, PAIR_COMPLIANCE * scales.tip_speed / scales.load
 
 

@@ -6,7 +6,7 @@ that W is banded: filling and solving it cost in proportion to the number of bod
 
 from math import sqrt
 
-from gridpush_drake.dynamics.kernels.contact_modes import (
+from gridpush_drake.dynamics.kernels.contact.contact_modes import (
     SEPARATE,
     SLIDE_MINUS,
     SLIDE_PLUS,

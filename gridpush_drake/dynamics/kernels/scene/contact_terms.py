@@ -25,27 +25,27 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     VERTEX,
 )
 
-POSE = 0
-TWIST = 3
+POSE_INPUT = 0
+TWIST_INPUT = 3
 OTHER_POSE = 6
 OTHER_TWIST = 9
-TIP = 12
+TIP_INPUT = 12
 TIP_VELOCITY = 14
 """Places in what a contact depends on: pose (W) and twist (body frame) of its first body and of its
 second, and of the pusher place and velocity (W); the last two are used where the second body is the
 pusher."""
 
-INPUTS = 16
+INPUT_COUNT = 16
 """Number of them."""
 
-WRENCH = 0
+WRENCH_OUTPUT = 0
 OTHER_WRENCH = 3
-APPROACH = 6
-SLIP = 7
+APPROACH_OUTPUT = 6
+SLIP_OUTPUT = 7
 """Places in what comes of it: wrench of the contact on its first body and on its second, each in
 the frame of its step; and the velocities J_n xi - N·v_p + gap/dt and J_t xi - T·v_p."""
 
-OUTPUTS = 8
+OUTPUT_COUNT = 8
 """Number of them."""
 
 _SAME_GAP = 1e-12
@@ -70,14 +70,14 @@ def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
     """
     i = ids[FIRST_BODY]
     j = ids[SECOND_BODY]
-    x = z[POSE]
-    y = z[POSE + 1]
-    theta = z[POSE + 2]
+    x = z[POSE_INPUT]
+    y = z[POSE_INPUT + 1]
+    theta = z[POSE_INPUT + 2]
     c = cos(theta)
     s = sin(theta)
-    u = z[TWIST]
-    v = z[TWIST + 1]
-    w = z[TWIST + 2]
+    u = z[TWIST_INPUT]
+    v = z[TWIST_INPUT + 1]
+    w = z[TWIST_INPUT + 2]
     other_theta = z[OTHER_POSE + 2]
     other_w = z[OTHER_TWIST + 2]
     normal_force = lam[0]
@@ -93,8 +93,8 @@ def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
         disc = radius
         edges = bodies.outline
         first = bodies.first_edge[i]
-        world_x = z[TIP]
-        world_y = z[TIP + 1]
+        world_x = z[TIP_INPUT]
+        world_y = z[TIP_INPUT + 1]
         world_vx = z[TIP_VELOCITY]
         world_vy = z[TIP_VELOCITY + 1]
     else:
@@ -181,9 +181,9 @@ def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
     py_contact = cy - own_corner * ny
     fx = nx * normal_force - ny * tangential_force
     fy = ny * normal_force + nx * tangential_force
-    out[WRENCH] = fx
-    out[WRENCH + 1] = fy
-    out[WRENCH + 2] = px_contact * fy - py_contact * fx
+    out[WRENCH_OUTPUT] = fx
+    out[WRENCH_OUTPUT + 1] = fy
+    out[WRENCH_OUTPUT + 2] = px_contact * fy - py_contact * fx
     new_w = xi[i, 2]
     slip_x = xi[i, 0] - new_w * py_contact
     slip_y = xi[i, 1] + new_w * px_contact
@@ -194,8 +194,8 @@ def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
         sa = sin(a)
         slip_x = slip_x - ca * vx - sa * vy
         slip_y = slip_y + sa * vx - ca * vy
-        out[APPROACH] = nx * slip_x + ny * slip_y + gap / dt
-        out[SLIP] = nx * slip_y - ny * slip_x
+        out[APPROACH_OUTPUT] = nx * slip_x + ny * slip_y + gap / dt
+        out[SLIP_OUTPUT] = nx * slip_y - ny * slip_x
         for k in range(3):
             out[OTHER_WRENCH + k] = 0.0
         return
@@ -221,8 +221,8 @@ def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
     other_normal_speed = other_nx * other_x + other_ny * other_y
     tangential_speed = nx * slip_y - ny * slip_x
     other_tangential_speed = other_nx * other_y - other_ny * other_x
-    out[APPROACH] = normal_speed - other_normal_speed + gap / dt
-    out[SLIP] = tangential_speed - other_tangential_speed
+    out[APPROACH_OUTPUT] = normal_speed - other_normal_speed + gap / dt
+    out[SLIP_OUTPUT] = tangential_speed - other_tangential_speed
 
 
 @kernel(allocates=False)

@@ -1,10 +1,10 @@
 """Where bodies and pusher touch: every contact of a step, as a row.
 
-The pusher is a disc against each outline, as in `dynamics.kernels.contact`. Two bodies touch by
-their cores, the outlines moved inwards by the radius of their corners: each convex vertex of one
-core is a disc of both radii against the other core. A corner is so round, and the normal of a
-contact turns evenly as it goes round it. Two edges that lie on each other touch at the two ends of
-what they have in common.
+The pusher is a disc against each outline, as in `dynamics.kernels.contact.contact`. Two bodies
+touch by their cores, the outlines moved inwards by the radius of their corners: each convex vertex
+of one core is a disc of both radii against the other core. A corner is so round, and the normal of
+a contact turns evenly as it goes round it. Two edges that lie on each other touch at the two ends
+of what they have in common.
 
 As in the step of one body, gaps are those when the step begins, while place and normal are those
 expected halfway through it (`contact.look_ahead`).
@@ -12,7 +12,7 @@ expected halfway through it (`contact.look_ahead`).
 
 from math import cos, sin, sqrt
 
-from gridpush_drake.dynamics.kernels.contact import (
+from gridpush_drake.dynamics.kernels.contact.contact import (
     BEND,
     CX,
     CY,
@@ -24,16 +24,16 @@ from gridpush_drake.dynamics.kernels.contact import (
     find_contacts,
     look_ahead,
 )
-from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, STICK
+from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE, STICK
 from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.records import (
-    FINGER,
+    FINGER_BODY,
     FIRST_BEND,
     FIRST_BODY,
     FIRST_X,
     FIRST_Y,
     FRICTION,
-    IDENTITY,
+    IDENTITY_SIZE,
     OTHER_CX,
     OTHER_CY,
     OTHER_NX,
@@ -54,9 +54,9 @@ from gridpush_drake.dynamics.kernels.scene.records import (
 _REACH = 2.0
 """Contacts are watched from as far away as pusher and bodies move in this many steps."""
 
-RECOVERY = 0.5
-"""Most of an overlap of two bodies that is undone in a step, as a share of the pusher's way in it.
-They overlap a little where a corner is turned in a step, and must not be thrown apart."""
+OVERLAP_RECOVERY = 0.5
+"""Most of an overlap of two bodies that is undone in a step, as a fraction of the pusher's way in
+it. They overlap a little where a corner is turned in a step, and must not be thrown apart."""
 
 _SLACK = 0.2
 """Sine of the angle by which a vertex may be less deep than its neighbor and still be watched. Two
@@ -95,10 +95,10 @@ def find_scene_contacts(bodies, state, disc, dt, h, found, ahead, contacts):
     contacts.counts[0] = 0
     for r in range(count):
         contacts.last_modes[r] = contacts.modes[r]
-        for column in range(IDENTITY):
+        for column in range(IDENTITY_SIZE):
             contacts.last_ids[r, column] = contacts.ids[r, column]
     tip_speed = sqrt(disc.vx * disc.vx + disc.vy * disc.vy)
-    recovery = RECOVERY * tip_speed * dt
+    recovery = OVERLAP_RECOVERY * tip_speed * dt
     n = state.q.shape[0]
     gap = _find_finger_contacts(bodies, state, disc, tip_speed, dt, h, found, ahead, contacts)
     for i in range(n):
@@ -156,7 +156,7 @@ def _find_finger_contacts(bodies, state, disc, tip_speed, dt, h, found, ahead, c
         for row in range(count):
             r = _take_row(contacts, ahead[row, GAP])
             if r >= 0:
-                _write_row(contacts, r, i, FINGER, 0, found, ahead, row)
+                _write_row(contacts, r, i, FINGER_BODY, 0, found, ahead, row)
                 numbers = contacts.numbers[r]
                 # the pusher's velocity in the frame of the step, which is turned by a = h w
                 a = h * state.twist[i, 2]

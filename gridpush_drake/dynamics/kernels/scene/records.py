@@ -5,14 +5,15 @@ N bodies, M cells in all, P pairs of bodies, T steps, and room for R contacts a 
 
 from typing import Any, NamedTuple
 
-FINGER = -1
+FINGER_BODY = -1
 """What stands for the pusher where a contact names its second body."""
 
 FIRST_BODY, SECOND_BODY, VERTEX, ROW_FEATURE = range(4)
 """Places in a contact's identity: the body whose outline is touched; the one that touches it, or
-`FINGER`; the vertex of the second's core that does; and the edge of the first's outline or core."""
+`FINGER_BODY`; the vertex of the second's core that does; and the edge of the first's outline or
+core."""
 
-IDENTITY = 4
+IDENTITY_SIZE = 4
 """Numbers in a contact's identity."""
 
 (
@@ -40,7 +41,7 @@ two in that of the second's; the gap, m; the pusher's velocity in the first body
 friction coefficient; whether a vertex of the first is touched (`contact`); and of the nearest
 contact when the step begins, whether it is at a vertex, and that vertex or else its normal."""
 
-NUMBERS = 16
+CONTACT_SIZE = 16
 """Numbers that describe a contact."""
 
 
@@ -112,15 +113,15 @@ class Tolerances(NamedTuple):
     """How steps are taken.
 
     Attributes:
-        ahead: share of a step after which it looks at the bodies.
-        relative_stiction: tolerance of stiction, as a share of the speed.
+        ahead: fraction of a step after which it looks at the bodies.
+        relative_stiction: tolerance of stiction, as a fraction of the speed.
     """
 
     ahead: float
     relative_stiction: float
 
 
-class SceneState(NamedTuple):
+class BodyStates(NamedTuple):
     """Where the bodies are and how they move.
 
     Attributes:

@@ -9,15 +9,15 @@ from math import cos, sin, sqrt
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.contact import GAP, find_contacts
-from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE
+from gridpush_drake.dynamics.kernels.contact.contact import GAP, find_contacts
+from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
 from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.contact_rows import SceneScales
 from gridpush_drake.dynamics.kernels.scene.contacts import find_scene_contacts, take_edges
 from gridpush_drake.dynamics.kernels.scene.records import (
     FIRST_BODY,
-    IDENTITY,
+    IDENTITY_SIZE,
     OTHER_CX,
     OTHER_CY,
     ROW_CX,
@@ -31,7 +31,7 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     Disc,
 )
 from gridpush_drake.dynamics.kernels.scene.step import (
-    OVERLAP,
+    WAKING_OVERLAP,
     make_step_work,
     solve_scene_step,
     wake,
@@ -42,8 +42,8 @@ from gridpush_drake.dynamics.kernels.scene.step_derivative import (
     start_columns,
     step_columns,
 )
-from gridpush_drake.dynamics.kernels.step import CONVERGED
-from gridpush_drake.dynamics.kernels.step_memory import MOVING
+from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
+from gridpush_drake.dynamics.kernels.step_memory import MIN_MOVING_STEPS
 
 _TINY_SPEED = 1e-12
 """Added to the scale of speeds, m/s, so that it is never zero."""
@@ -117,7 +117,7 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
             load=load, speed=speed, tip_speed=tip_speed if tip_speed > 0.0 else speed
         )
         eps = tolerances.relative_stiction * speed
-        status = CONVERGED
+        status = STEP_CONVERGED
         iterations = 0
         moving = awake > 0 and closing > 0.0
         if moving:
@@ -192,7 +192,7 @@ def _calc_closing_speed(contacts, dt):
         if contacts.ids[r, SECOND_BODY] < 0:
             approach = numbers[ROW_NX] * numbers[TIP_VX] + numbers[ROW_NY] * numbers[TIP_VY]
             closing = max(closing, approach - numbers[ROW_GAP] / dt)
-        elif numbers[ROW_GAP] < -OVERLAP:
+        elif numbers[ROW_GAP] < -WAKING_OVERLAP:
             closing = max(closing, -numbers[ROW_GAP] / dt)
     return closing
 
@@ -212,7 +212,7 @@ def _guess_twists(state, contacts, disc, h, xi, work):
         b = work.order[k]
         twist = state.twist[b]
         if state.moved[b] > 0:
-            further = 1.0 if state.moved[b] >= MOVING else 0.0
+            further = 1.0 if state.moved[b] >= MIN_MOVING_STEPS else 0.0
             for i in range(3):
                 xi[b, i] = twist[i] + further * (twist[i] - state.before[b, i])
             continue
@@ -267,7 +267,7 @@ def _advance(state, xi, shift, dt, moving, awake):
         for i in range(3):
             state.before[b, i] = state.twist[b, i]
             state.twist[b, i] = xi[b, i]
-        state.moved[b] = min(state.moved[b] + 1, MOVING) if moving and awake[b] else 0
+        state.moved[b] = min(state.moved[b] + 1, MIN_MOVING_STEPS) if moving and awake[b] else 0
         if state.moved[b] > 0:
             state.q[b, 0] += shift[b, 0]
             state.q[b, 1] += shift[b, 1]
@@ -281,7 +281,7 @@ def _record_contacts(record, t, state, contacts, shift, h, ahead):
     """Records the contacts of step t, where they are halfway through it."""
     record.counts[t] = contacts.counts[0]
     for r in range(contacts.counts[0]):
-        for column in range(IDENTITY):
+        for column in range(IDENTITY_SIZE):
             record.ids[t, r, column] = contacts.ids[r, column]
         record.modes[t, r] = contacts.modes[r]
         # force and place, turned from the frame of the step into W

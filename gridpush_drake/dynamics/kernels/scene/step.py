@@ -13,7 +13,8 @@ majorizing Hessian takes over, then continuation in the stiction tolerance. Only
 pusher can reach through contacts take part (`wake`); the others rest.
 
 The step's certificate is two numbers: the residual of the balance of forces, body by body as a
-share of what the body's friction and contacts exert, and the violation of the contact conditions.
+fraction of what the body's friction and contacts exert, and the violation of the contact
+conditions.
 """
 
 from math import sqrt
@@ -21,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.isotropic_friction import add_isotropic
+from gridpush_drake.dynamics.kernels.friction.isotropic_friction import add_isotropic
 from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.contact_problem import solve_contacts
 from gridpush_drake.dynamics.kernels.scene.contact_rows import (
@@ -31,29 +32,29 @@ from gridpush_drake.dynamics.kernels.scene.contact_rows import (
 )
 from gridpush_drake.dynamics.kernels.scene.contact_system import invert_hessians
 from gridpush_drake.dynamics.kernels.scene.records import (
+    CONTACT_SIZE,
     FIRST_BODY,
-    IDENTITY,
-    NUMBERS,
+    IDENTITY_SIZE,
     ROW_GAP,
     SECOND_BODY,
 )
 from gridpush_drake.dynamics.kernels.step import (
-    CONVERGED,
     FINAL_RESIDUAL,
     ITERATION_LIMIT,
     MAX_RESIDUAL,
     MIN_SHARPENING,
     NEWTON_LIMIT,
     NOT_CONVERGED,
-    SHARPEN,
-    SLOW,
+    SLOW_REDUCTION,
+    STEP_CONVERGED,
+    STICTION_FACTOR,
 )
 
-OVERLAP = 1e-7
+WAKING_OVERLAP = 1e-7
 """Overlap from which on two bodies are awake by themselves, m."""
 
 
-class StepWork(NamedTuple):
+class SceneStepWork(NamedTuple):
     """What a step is solved with, for N bodies and R contacts.
 
     Attributes:
@@ -83,7 +84,7 @@ class StepWork(NamedTuple):
 @kernel()
 def make_step_work(n, room):
     """Makes the workspace of a step."""
-    return StepWork(
+    return SceneStepWork(
         awake=np.zeros(n, np.bool_),
         g=np.zeros((n, 3)),
         H=np.zeros((n, 3, 3)),
@@ -106,7 +107,7 @@ def wake(contacts, work):
 
     Args:
         contacts: `Contacts` of the step.
-        work: `StepWork`; its `awake`, `order` and `parent` are filled.
+        work: `SceneStepWork`; its `awake`, `order` and `parent` are filled.
 
     Returns:
         The number of bodies that are awake.
@@ -118,9 +119,9 @@ def wake(contacts, work):
         if not work.awake[contacts.ids[r, FIRST_BODY]]:
             continue
         if kept < r:
-            for column in range(IDENTITY):
+            for column in range(IDENTITY_SIZE):
                 contacts.ids[kept, column] = contacts.ids[r, column]
-            for column in range(NUMBERS):
+            for column in range(CONTACT_SIZE):
                 contacts.numbers[kept, column] = contacts.numbers[r, column]
             contacts.modes[kept] = contacts.modes[r]
         kept += 1
@@ -136,7 +137,7 @@ def _spread(contacts, work):
 
     Args:
         contacts: `Contacts` of the step.
-        work: `StepWork`; its `awake`, `order` and `parent` are filled.
+        work: `SceneStepWork`; its `awake`, `order` and `parent` are filled.
 
     Returns:
         The number of bodies that are awake.
@@ -149,7 +150,7 @@ def _spread(contacts, work):
     for r in range(contacts.counts[0]):
         i = contacts.ids[r, FIRST_BODY]
         j = contacts.ids[r, SECOND_BODY]
-        if j < 0 or contacts.numbers[r, ROW_GAP] < -OVERLAP:
+        if j < 0 or contacts.numbers[r, ROW_GAP] < -WAKING_OVERLAP:
             if not awake[i]:
                 awake[i] = True
                 work.order[count] = i
@@ -206,8 +207,8 @@ def calc_residual(bodies, contacts, work):
     """Calculates how far the balance of forces is from zero, for the worst body.
 
     Returns:
-        The norm of g - J^T lam, whose moment is divided by the body's arm, as a share of what its
-        friction with the table and its contacts exert.
+        The norm of g - J^T lam, whose moment is divided by the body's arm, as a fraction of what
+        its friction with the table and its contacts exert.
     """
     worst = 0.0
     rows = work.contact.rows
@@ -270,9 +271,9 @@ def _iterate(bodies, contacts, scales, eps, xi, work, limit):
         last = False
         if iteration > 0:
             residual = calc_residual(bodies, contacts, work)
-            rounding = residual < MAX_RESIDUAL and residual > SLOW * previous
+            rounding = residual < MAX_RESIDUAL and residual > SLOW_REDUCTION * previous
             last = residual < FINAL_RESIDUAL or rounding
-            majorize = not (last or majorize) and residual > SLOW * previous
+            majorize = not (last or majorize) and residual > SLOW_REDUCTION * previous
             previous = residual
             work.certificate[0] = residual
             if majorize:
@@ -293,7 +294,7 @@ def _iterate(bodies, contacts, scales, eps, xi, work, limit):
         if not (worst < np.inf):
             return NOT_CONVERGED, iteration + 1
         if last:
-            status = CONVERGED if worst < MAX_RESIDUAL else NOT_CONVERGED
+            status = STEP_CONVERGED if worst < MAX_RESIDUAL else NOT_CONVERGED
             return status, iteration + 1
     return NOT_CONVERGED, limit
 
@@ -318,7 +319,7 @@ def solve_scene_step(bodies, contacts, count, dt, scales, eps, xi, work):
         scales: `SceneScales`.
         eps: stiction tolerance, m/s.
         xi: (N, 3) twists in the frames of the step, guess in, solution out.
-        work: `StepWork`; its S^-1 are those at the solution, and `certificate` is filled.
+        work: `SceneStepWork`; its S^-1 are those at the solution, and `certificate` is filled.
 
     Returns:
         (status, iterations).
@@ -326,7 +327,7 @@ def solve_scene_step(bodies, contacts, count, dt, scales, eps, xi, work):
     fill_rows(contacts, dt, work.contact)
     order_unknowns(contacts, work.order, count, work.contact)
     status, iterations = _iterate(bodies, contacts, scales, eps, xi, work, NEWTON_LIMIT)
-    if status == CONVERGED:
+    if status == STEP_CONVERGED:
         return status, iterations
     # Continuation: start where friction is smooth on the scale of the motion, and sharpen, by
     # smaller factors where it fails. What sticks at the end moves in proportion to the tolerance,
@@ -338,12 +339,12 @@ def solve_scene_step(bodies, contacts, count, dt, scales, eps, xi, work):
     last_tolerance = np.inf
     before_tolerance = np.inf
     tolerance = scales.speed
-    factor = SHARPEN
+    factor = STICTION_FACTOR
     _set_zero(xi)
     while True:
         status, used = _iterate(bodies, contacts, scales, tolerance, xi, work, ITERATION_LIMIT)
         iterations += used
-        if status == CONVERGED:
+        if status == STEP_CONVERGED:
             if tolerance == eps:
                 return status, iterations
             for b in range(xi.shape[0]):
@@ -352,7 +353,7 @@ def solve_scene_step(bodies, contacts, count, dt, scales, eps, xi, work):
                     last[b, i] = xi[b, i]
             before_tolerance = last_tolerance
             last_tolerance = tolerance
-            factor = max(factor * factor, SHARPEN)
+            factor = max(factor * factor, STICTION_FACTOR)
         elif last_tolerance < np.inf and factor < MIN_SHARPENING:
             # Once more from the last solution, with a smaller stride.
             factor = sqrt(factor)

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, SLIDE_PLUS, STICK
-from gridpush_drake.dynamics.kernels.isotropic_friction import fill_cell_forces
+from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE, SLIDE_PLUS, STICK
+from gridpush_drake.dynamics.kernels.friction.isotropic_friction import fill_cell_forces
 from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.contact_rows import PAIR_COMPLIANCE, calc_compliance
 from gridpush_drake.dynamics.kernels.scene.contact_system import (
@@ -30,21 +30,21 @@ from gridpush_drake.dynamics.kernels.scene.contact_system import (
     solve_banded,
 )
 from gridpush_drake.dynamics.kernels.scene.contact_terms import (
-    APPROACH,
-    INPUTS,
+    APPROACH_OUTPUT,
+    INPUT_COUNT,
     OTHER_POSE,
     OTHER_TWIST,
     OTHER_WRENCH,
-    OUTPUTS,
-    POSE,
-    SLIP,
-    TIP,
+    OUTPUT_COUNT,
+    POSE_INPUT,
+    SLIP_OUTPUT,
+    TIP_INPUT,
     TIP_VELOCITY,
-    TWIST,
-    WRENCH,
+    TWIST_INPUT,
+    WRENCH_OUTPUT,
     calc_contact_terms,
 )
-from gridpush_drake.dynamics.kernels.scene.contacts import RECOVERY
+from gridpush_drake.dynamics.kernels.scene.contacts import OVERLAP_RECOVERY
 from gridpush_drake.dynamics.kernels.scene.records import (
     FIRST_BODY,
     OTHER_CX,
@@ -105,8 +105,8 @@ def make_derivative(n, cells, room, width):
         S=np.zeros((6 * n, width)),
         next_S=np.zeros((3 * n, width)),
         f=np.zeros((3, cells)),
-        z=np.zeros(INPUTS, np.complex128),
-        out=np.zeros(OUTPUTS, np.complex128),
+        z=np.zeros(INPUT_COUNT, np.complex128),
+        out=np.zeros(OUTPUT_COUNT, np.complex128),
         G=np.zeros((n, 3, 3)),
         A=np.zeros((3, 3)),
     )
@@ -215,20 +215,20 @@ def _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, deriv
     out = derivative.out
     V = derivative.V
     for a in range(3):
-        z[POSE + a] = state.q[i, a]
-        z[TWIST + a] = state.twist[i, a]
+        z[POSE_INPUT + a] = state.q[i, a]
+        z[TWIST_INPUT + a] = state.twist[i, a]
         if j >= 0:
             z[OTHER_POSE + a] = state.q[j, a]
             z[OTHER_TWIST + a] = state.twist[j, a]
-    z[TIP] = disc.x
-    z[TIP + 1] = disc.y
+    z[TIP_INPUT] = disc.x
+    z[TIP_INPUT + 1] = disc.y
     z[TIP_VELOCITY] = disc.vx
     z[TIP_VELOCITY + 1] = disc.vy
-    for k in range(INPUTS):
+    for k in range(INPUT_COUNT):
         # which of the step's inputs the contact's is
         if k < OTHER_POSE:
-            column = 3 * i + k if k < TWIST else 3 * n + 3 * i + k - TWIST
-        elif k < TIP:
+            column = 3 * i + k if k < TWIST_INPUT else 3 * n + 3 * i + k - TWIST_INPUT
+        elif k < TIP_INPUT:
             if j < 0:
                 continue
             place = k - OTHER_POSE
@@ -236,7 +236,7 @@ def _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, deriv
         else:
             if j >= 0:
                 continue
-            column = 6 * n + k - TIP
+            column = 6 * n + k - TIP_INPUT
         value = z[k]
         z[k] = value + 1j * _DELTA
         calc_contact_terms(
@@ -253,12 +253,12 @@ def _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, deriv
         )
         z[k] = value
         for a in range(3):
-            derivative.F[3 * i + a, column] += out[WRENCH + a].imag / _DELTA
+            derivative.F[3 * i + a, column] += out[WRENCH_OUTPUT + a].imag / _DELTA
             if j >= 0:
                 derivative.F[3 * j + a, column] += out[OTHER_WRENCH + a].imag / _DELTA
-        V[row, column] += out[APPROACH].imag / _DELTA
+        V[row, column] += out[APPROACH_OUTPUT].imag / _DELTA
         if mode == STICK:
-            V[row + 1, column] += out[SLIP].imag / _DELTA
+            V[row + 1, column] += out[SLIP_OUTPUT].imag / _DELTA
     if j >= 0:
         _add_pusher_speed(disc, contacts.numbers[r], contacts.lam[r], n, row, mode, dt, scales, V)
     if mode != STICK:
@@ -279,8 +279,8 @@ def _add_pusher_speed(disc, numbers, lam, n, row, mode, dt, scales, V):
     speed = sqrt(speed2)
     softness = PAIR_COMPLIANCE / scales.load
     normal = softness * lam[0]
-    if numbers[ROW_GAP] <= -(1.0 - _BOUNDED) * RECOVERY * speed * dt:
-        normal -= RECOVERY
+    if numbers[ROW_GAP] <= -(1.0 - _BOUNDED) * OVERLAP_RECOVERY * speed * dt:
+        normal -= OVERLAP_RECOVERY
     at_velocity = 6 * n + 2
     V[row, at_velocity] += normal * disc.vx / speed
     V[row, at_velocity + 1] += normal * disc.vy / speed

@@ -8,8 +8,8 @@ from drake import lcmt_image_array
 from pydrake.lcm import DrakeLcmInterface
 
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.images.camera import Camera
+from gridpush_drake.perception.images.frames import Frame
 from gridpush_drake.station.links.lcm.lcm_messages import (
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
@@ -34,7 +34,7 @@ from gridpush_drake.station.links.link import (
     Record,
     Unusable,
 )
-from gridpush_drake.station.robot import Robot
+from gridpush_drake.station.robot.robot import Robot
 from gridpush_drake.systems.robot_records import (
     ArmCommand,
     ArmStatus,

@@ -23,8 +23,7 @@ from drake import (
 from pydrake.manipulation import PandaControlMode
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.perception.frames import MILLIMETERS
-from gridpush_drake.station.robot import Robot
+from gridpush_drake.station.robot.robot import Robot
 from gridpush_drake.systems.robot_records import (
     ArmCommand,
     ArmStatus,
@@ -33,6 +32,7 @@ from gridpush_drake.systems.robot_records import (
     Numbers,
     PoseObservation,
 )
+from gridpush_drake.units import MM_PER_M
 
 MICROSECONDS = 1e6
 """Microseconds in a second."""
@@ -236,8 +236,8 @@ def encode_gripper_status(record: GripperStatus) -> bytes:
     """Makes the message of a gripper's status."""
     message = lcmt_schunk_wsg_status()
     message.utime = calc_utime(record.time)
-    message.actual_position_mm = MILLIMETERS * record.opening
-    message.actual_speed_mm_per_s = MILLIMETERS * record.speed
+    message.actual_position_mm = MM_PER_M * record.opening
+    message.actual_speed_mm_per_s = MM_PER_M * record.speed
     message.actual_force = float(record.force)
     return bytes(message.encode())
 
@@ -247,8 +247,8 @@ def decode_gripper_status(data: bytes) -> GripperStatus:
     message = decode_message(lcmt_schunk_wsg_status, GRIPPER_STATUS, data)
     return GripperStatus(
         time=message.utime / MICROSECONDS,
-        opening=message.actual_position_mm / MILLIMETERS,
-        speed=message.actual_speed_mm_per_s / MILLIMETERS,
+        opening=message.actual_position_mm / MM_PER_M,
+        speed=message.actual_speed_mm_per_s / MM_PER_M,
         force=message.actual_force,
     )
 
@@ -257,7 +257,7 @@ def encode_gripper_command(record: GripperCommand) -> bytes:
     """Makes the message of a gripper's command."""
     message = lcmt_schunk_wsg_command()
     message.utime = calc_utime(record.time)
-    message.target_position_mm = MILLIMETERS * record.opening
+    message.target_position_mm = MM_PER_M * record.opening
     message.force = float(record.force)
     return bytes(message.encode())
 
@@ -265,7 +265,7 @@ def encode_gripper_command(record: GripperCommand) -> bytes:
 def decode_gripper_command(data: bytes) -> GripperCommand:
     """Makes a gripper's command of its message; raises StationError where that cannot be done."""
     message = decode_message(lcmt_schunk_wsg_command, GRIPPER_COMMAND, data)
-    opening = message.target_position_mm / MILLIMETERS
+    opening = message.target_position_mm / MM_PER_M
     return GripperCommand(message.utime / MICROSECONDS, opening, message.force)
 
 

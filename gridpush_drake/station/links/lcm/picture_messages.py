@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gridpush_drake.errors import ImageError
-from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.frames import MILLIMETERS, Color, Depth, Frame
+from gridpush_drake.perception.images.camera import Camera
+from gridpush_drake.perception.images.frames import Color, Depth, Frame
 from gridpush_drake.station.links.lcm.lcm_messages import MICROSECONDS, calc_utime
 from gridpush_drake.station.links.pixels import convert_depth, read_rows
+from gridpush_drake.units import MM_PER_M
 
 JPEG_QUALITY = 95
 """Quality of the color pictures that are sent, 0 to 100."""
@@ -79,7 +80,7 @@ def encode_frame(frame: Frame, count: int = 0) -> lcmt_image_array:
     images = [_make_image(header, frame.color, data, lcmt_image.COMPRESSION_METHOD_JPEG)]
     if frame.depth is not None:
         meters = np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0)
-        depth = np.clip(np.rint(MILLIMETERS * meters), 0, MAX_DEPTH).astype(np.uint16)
+        depth = np.clip(np.rint(MM_PER_M * meters), 0, MAX_DEPTH).astype(np.uint16)
         data = _encode(".png", depth, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
         images.append(_make_image(header, depth, data, lcmt_image.COMPRESSION_METHOD_PNG))
     message = lcmt_image_array()

@@ -26,7 +26,7 @@ from functools import partial
 from typing import Any
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.images.frames import Frame
 from gridpush_drake.station.links.link import Link, LinkMessage, LinkRole, Record
 from gridpush_drake.station.links.ros2.ros2_pictures import CAMERA_INFO, COLOR, DEPTH
 from gridpush_drake.station.links.ros2.ros2_reader import Ros2Reader

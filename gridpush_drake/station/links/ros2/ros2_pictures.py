@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.errors import ImageError
-from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.images.camera import Camera
 from gridpush_drake.station.links.pixels import convert_depth, read_rows
 
 COLOR = "camera/color/image_raw"
@@ -30,7 +30,7 @@ DEPTH_FORMS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 """NumPy's name of a pixel's type, by a depth image's encoding: mm in 16 bit, m in 32 bit."""
 
 FOCAL_TOLERANCE = 0.01
-"""How far K in a camera's `CameraInfo` may differ from the scenario's, as a share of the focal
+"""How far K in a camera's `CameraInfo` may differ from the scenario's, as a fraction of the focal
 length."""
 
 

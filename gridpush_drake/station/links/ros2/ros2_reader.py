@@ -13,7 +13,7 @@ from pydrake.math import RollPitchYaw
 
 from gridpush_drake.errors import ImageError
 from gridpush_drake.geometry.se2 import QUATERNION_TOLERANCE, Array, calc_yaw
-from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.images.frames import Frame
 from gridpush_drake.station.links.link import LinkMessage, Unusable
 from gridpush_drake.station.links.ros2.ros2_pictures import (
     COLOR,
@@ -51,9 +51,9 @@ sensor may have died."""
 
 MAX_DEVIATION = 0.02
 """Largest standard deviation, m, with which a pose of the object can be used, by its covariance.
-That of the turn counts with `TURN_SHARE`."""
+That of the turn counts with `TURN_FRACTION`."""
 
-TURN_SHARE = 0.1
+TURN_FRACTION = 0.1
 """m for each rad: a turn's standard deviation counts as so much of a shift's."""
 
 COVARIANCE_PLACES = (0, 7, 35)
@@ -135,12 +135,12 @@ class Ros2Reader:
         position = _pick(message.position, order)
         assert position is not None
         velocity, effort = _pick(message.velocity, order), _pick(message.effort, order)
-        share = gripper.calc_share(position)
+        fraction = gripper.calc_fraction(position)
         speed = 0.0
         if velocity is not None:
-            speed = gripper.opening * gripper.calc_share(gripper.closed + velocity)
+            speed = gripper.opening * gripper.calc_fraction(gripper.closed + velocity)
         force = 0.0 if effort is None else float(np.abs(effort).mean())
-        self._received.append(GripperStatus(time, gripper.opening * share, speed, force))
+        self._received.append(GripperStatus(time, gripper.opening * fraction, speed, force))
 
     def _take_arm(self, message: Any, order: NDArray[np.intp], time: float) -> None:
         position = _pick(message.position, order)
@@ -204,11 +204,11 @@ class Ros2Reader:
     def take_covariance(self, message: Any, number: int = 0) -> None:
         """Takes a `PoseWithCovarianceStamped` of an object; one that is too unsure is left out."""
         variances = [message.pose.covariance[place] for place in COVARIANCE_PLACES]
-        deviation = np.sqrt(np.abs(variances)) * [1.0, 1.0, TURN_SHARE]
+        deviation = np.sqrt(np.abs(variances)) * [1.0, 1.0, TURN_FRACTION]
         if not (deviation <= MAX_DEVIATION).all():  # true for NaN
             self._leave_out(
                 f"{name_object_topic(OBJECT_COVARIANCE, number)}: the standard deviation is more "
-                f"than {MAX_DEVIATION:g} m, or {MAX_DEVIATION / TURN_SHARE:g} rad",
+                f"than {MAX_DEVIATION:g} m, or {MAX_DEVIATION / TURN_FRACTION:g} rad",
                 PoseObservation,
                 number,
             )
@@ -275,7 +275,7 @@ class Ros2Reader:
     def _take_gripper(self, position: Array, force: float) -> None:
         gripper = self._robot.gripper
         assert gripper is not None
-        opening = gripper.opening * gripper.calc_share(position)
+        opening = gripper.opening * gripper.calc_fraction(position)
         self._received.append(GripperCommand(self._get_time(), opening, force))
 
     def _find_point(

@@ -13,10 +13,10 @@ from pydrake.multibody.tree import ModelInstanceIndex
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.images.camera import Camera
 from gridpush_drake.station.links.tip_load import TipLoad
-from gridpush_drake.station.resolve import ResolvedScenario
-from gridpush_drake.station.robot import GetRobotInPlant
+from gridpush_drake.station.robot.robot import GetRobotInPlant
+from gridpush_drake.station.scene.resolve import ResolvedScenario
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ class GripperJoints:
     open: Array
     opening: float
 
-    def calc_share(self, position: Array) -> float:
+    def calc_fraction(self, position: Array) -> float:
         """How far the gripper is open, 0 to 1, by the mean of its joints."""
         return float(np.mean((position - self.closed) / (self.open - self.closed)))
 
     def calc_position(self, opening: float) -> list[float]:
         """The joints' positions at an opening, m."""
-        share = opening / self.opening
-        return [float(p) for p in self.closed + share * (self.open - self.closed)]
+        fraction = opening / self.opening
+        return [float(p) for p in self.closed + fraction * (self.open - self.closed)]
 
 
 @dataclass(frozen=True, eq=False)

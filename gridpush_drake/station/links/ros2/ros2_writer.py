@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.images.camera import Camera
+from gridpush_drake.perception.images.frames import Frame
 from gridpush_drake.station.links.link import ARM_PERIOD
 from gridpush_drake.station.links.ros2.ros2_pictures import CAMERA_INFO, COLOR, DEPTH
 from gridpush_drake.station.links.ros2.ros2_robot import RosRobot

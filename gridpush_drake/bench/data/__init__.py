@@ -1,0 +1,1 @@
+"""What benches learn from: the paper's protocol, and logs of real pushes."""

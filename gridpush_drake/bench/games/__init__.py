@@ -1,0 +1,1 @@
+"""How well players do in the Gymnasium environments and in PushT."""

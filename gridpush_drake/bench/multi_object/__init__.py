@@ -1,0 +1,1 @@
+"""Several objects: their model beside Drake's and MuJoCo's, learning, and tasks."""

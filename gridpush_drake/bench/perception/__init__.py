@@ -1,0 +1,1 @@
+"""How well objects are found in photographs and tracked in videos."""

@@ -1,0 +1,1 @@
+"""How well learned objects are pushed with feedback, along paths and to goals."""

@@ -1,0 +1,248 @@
+"""`gridpush bench feedback`: pushing with feedback, in the LCP world and with bodies in MuJoCo.
+
+Learned objects are pushed along paths, to goals, and back to goals after shoves. What a run is and
+how it is judged is in `bench.steering.runs`; here is which runs are made, and their tables.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gridpush_drake.bench.steering.runs import (
+    DISTURBED_RUN,
+    EVEN_MODEL,
+    GOAL_DISTANCE,
+    GOAL_RUN,
+    LEARNED_MODEL,
+    LEARNING_MODEL,
+    MODEL_NAMES,
+    MOST_TIME,
+    OBJECT_NAMES,
+    PATH_LENGTH,
+    PATH_RUN,
+    PATH_SPEED,
+    PRIMITIVE_PLANNER,
+    RUN_KINDS,
+    TRUE_MODEL,
+    WANTED_RMS,
+    FeedbackJob,
+    Followed,
+    run_job,
+)
+from gridpush_drake.bench.steering.worlds import LCP_WORLD, POSE_SENSOR, STEERED_WORLDS
+from gridpush_drake.bench.study import OBJECTS_OPTION, Done, JobKind, Study, StudyOptions, option
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.extras import import_extra
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.report.table import INTERVAL_CONFIDENCE, Proportion, Table
+from gridpush_drake.units import DEG_PER_RAD, MM_PER_M, MS_PER_S
+
+DEFAULT_RUN_COUNT = 10
+QUICK_RUNS = 1
+
+
+@dataclass(frozen=True)
+class FeedbackBenchOptions(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        kinds: what is done.
+        worlds: names of worlds.
+        objects: names of shipped objects; NAMES where None.
+        models: names of MODEL_NAMES, what is planned with.
+        runs: runs of each kind, world, object and model; the first has the seed `seed`.
+    """
+
+    kinds: tuple[str, ...] | None = option(
+        None,
+        "path, goal or shove; may be repeated.",
+        name="--kind",
+        metavar="KIND",
+        shown="all",
+    )
+    worlds: tuple[str, ...] | None = option(
+        None,
+        "lcp, foundation or three_feet; may be repeated.",
+        name="--world",
+        metavar="WORLD",
+        shown="all",
+    )
+    objects: tuple[str, ...] | None = option(None, **OBJECTS_OPTION)
+    models: tuple[str, ...] | None = option(
+        None,
+        "What is planned with: learned, learning (on the way, too), even, true (in the LCP world "
+        "only) or strokes (to goals in the LCP world only); may be repeated.",
+        name="--model",
+        metavar="MODEL",
+        shown="all",
+    )
+    runs: int = option(DEFAULT_RUN_COUNT, "Runs of each kind, world, object and model.", least=1)
+
+
+def shorten(options: FeedbackBenchOptions) -> FeedbackBenchOptions:
+    """Makes the options of the quick variant."""
+    return replace(
+        options,
+        runs=min(options.runs, QUICK_RUNS),
+        worlds=options.worlds or (LCP_WORLD,),
+        objects=options.objects or OBJECT_NAMES[:1],
+    )
+
+
+def make_jobs(options: FeedbackBenchOptions) -> list[FeedbackJob]:
+    """Makes the runs.
+
+    Raises:
+        GridPushError: a kind, world or model is not known, or there is no run.
+        ObjectError: an object is not shipped.
+        MissingExtraError: MuJoCo is asked for, and not installed.
+    """
+    kinds = options.kinds or RUN_KINDS
+    worlds = options.worlds or STEERED_WORLDS
+    models = options.models or MODEL_NAMES
+    choices = (
+        ("kind", kinds, RUN_KINDS),
+        ("world", worlds, STEERED_WORLDS),
+        ("model", models, MODEL_NAMES),
+    )
+    for what, names, known in choices:
+        for name in names:
+            if name not in known:
+                raise GridPushError(f"{what}: {name!r}; expected one of {', '.join(known)}")
+    if options.runs < 1:
+        raise GridPushError("runs: none; expected at least one")
+    if set(worlds) != {LCP_WORLD}:
+        import_extra("mujoco", "bench")
+    names = options.objects or OBJECT_NAMES
+    for name in names:
+        find_shipped_object(name)
+    jobs = [
+        FeedbackJob(kind, world, name, model, options.seed + i)
+        for kind in kinds
+        for world in worlds
+        for model in list_models(kind, world)
+        if model in models
+        for name in names
+        for i in range(options.runs)
+    ]
+    if not jobs:
+        raise GridPushError(
+            f"model: nothing is done with {', '.join(models)} for these kinds and worlds; expected "
+            f"one of {', '.join(list_models(kinds[0], worlds[0]))}"
+        )
+    return jobs
+
+
+def list_models(kind: str, world: str) -> tuple[str, ...]:
+    """Lists what is planned with: the truth of a body in MuJoCo is no grid."""
+    if world != LCP_WORLD:
+        return (LEARNED_MODEL, LEARNING_MODEL, EVEN_MODEL)
+    known = (LEARNED_MODEL, LEARNING_MODEL, EVEN_MODEL, TRUE_MODEL)
+    return (*known, PRIMITIVE_PLANNER) if kind == GOAL_RUN else known
+
+
+def tabulate(options: FeedbackBenchOptions, done: Done) -> list[Table]:
+    """Makes a table of each kind of runs."""
+    results = done.of(RUN_JOBS)
+    makers = {PATH_RUN: tabulate_paths, GOAL_RUN: tabulate_goals, DISTURBED_RUN: tabulate_goals}
+    tables = []
+    for kind, tabulate_kind in makers.items():
+        found = [each for each in results if each.kind == kind]
+        if found:
+            tables.append(tabulate_kind(kind, found))
+    return tables
+
+
+def _group(results: Sequence[Followed]) -> list[tuple[tuple[str, str], list[Followed]]]:
+    """Makes groups of a table: the runs of each world and model."""
+    keys = dict.fromkeys((each.world, each.model) for each in results)
+    return [(key, [r for r in results if (r.world, r.model) == key]) for key in keys]
+
+
+def _quantile(field: str, fraction: float, scale: float) -> Any:
+    """Makes a column of a table: a quantile of a field of the runs that reached the end."""
+
+    def calc(results: Sequence[Followed]) -> float:
+        values = [getattr(each, field) for each in results if each.reached]
+        return scale * float(np.quantile(values, fraction)) if values else np.nan
+
+    return calc
+
+
+def _count_reached(results: Sequence[Followed]) -> str:
+    """How many runs reached the end, with the interval."""
+    return Proportion.of(sum(each.reached for each in results), len(results)).describe()
+
+
+def _count_near(results: Sequence[Followed]) -> str:
+    """How many runs reached the end, and kept as near to the path as is wanted."""
+    near = [each.reached and each.rms <= WANTED_RMS for each in results]
+    return Proportion.of(sum(near), len(results)).describe()
+
+
+CORE_TIME = _quantile("decision", 0.5, MS_PER_S)
+"""Column of the median time of a decision."""
+
+
+def tabulate_paths(kind: str, results: Sequence[Followed]) -> Table:
+    """Tabulates runs along a path."""
+    columns = {
+        "runs": len,
+        "to the end": _count_reached,
+        f"RMS within {WANTED_RMS * MM_PER_M:g} mm": _count_near,
+        "RMS, median, mm": _quantile("rms", 0.5, MM_PER_M),
+        "RMS, 9 in 10, mm": _quantile("rms", 0.9, MM_PER_M),
+        "time, s": _quantile("time", 0.5, 1.0),
+        "decision, ms": CORE_TIME,
+    }
+    notes = (
+        f"An S of {PATH_LENGTH * 100:g} cm at {PATH_SPEED * 100:g} cm/s, after three pokes; poses "
+        f"{POSE_SENSOR.delay:g} s late, one in ten missing. The learned grid is that of the pokes.",
+        f"With {INTERVAL_CONFIDENCE:.0%} Wilson intervals. Figures are of the runs that came to "
+        "the end.",
+    )
+    return Table.of("Along a path", ("world", "model"), _group(results), columns, notes)
+
+
+def tabulate_goals(kind: str, results: Sequence[Followed]) -> Table:
+    """Tabulates runs to a goal, or back to it after a shove."""
+    columns = {
+        "runs": len,
+        "reached": _count_reached,
+        "time, median, s": _quantile("time", 0.5, 1.0),
+        "time, 9 in 10, s": _quantile("time", 0.9, 1.0),
+        "off, median, mm": _quantile("distance", 0.5, MM_PER_M),
+        "off, median, °": _quantile("turn", 0.5, DEG_PER_RAD),
+        "decision, ms": CORE_TIME,
+    }
+    what = {
+        GOAL_RUN: f"A goal {GOAL_DISTANCE * 100:g} cm away, to 2 mm and 1°.",
+        DISTURBED_RUN: "Back to the goal after a shove of 3 cm and 20°, to 2 mm and 1°.",
+    }
+    notes = (
+        f"{what[kind]} Times are of the runs that reached it, given up after {MOST_TIME:g} s.",
+        "Stroke by stroke: until the mean cell error is 2 mm; the time is what a station's arm "
+        "takes for the strokes, up, over, down and along. Nothing is counted for looking and "
+        "planning.",
+        f"With {INTERVAL_CONFIDENCE:.0%} Wilson intervals.",
+    )
+    title = {GOAL_RUN: "To a goal", DISTURBED_RUN: "After a shove"}[kind]
+    return Table.of(title, ("world", "model"), _group(results), columns, notes)
+
+
+RUN_JOBS = JobKind(job=FeedbackJob, run=run_job, describe=FeedbackJob.describe)
+"""What is done with a run."""
+
+STUDY = Study(
+    name="feedback",
+    help="Push learned objects with feedback, along paths, to goals and back after shoves: in the "
+    "LCP world, and bodies in MuJoCo.",
+    options=FeedbackBenchOptions,
+    tabulate=tabulate,
+    tasks=(RUN_JOBS,),
+    make_jobs=make_jobs,
+    shorten=shorten,
+)
+"""The command."""

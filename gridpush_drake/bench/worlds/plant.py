@@ -1,0 +1,510 @@
+"""Pushes in Drake's MultibodyPlant, and the same ones in the grid LCP model.
+
+Objects have random parts. They get random pushes of 10 cm from random places of their outlines. The
+plant's sphere feet resist no spin, so the model's exact counterpart is spin="none"; "coupled", the
+default elsewhere, gives cells their area. With the "planar" base each cell bears its own weight, as
+the model assumes. With the "free" base the loads shift, because the pusher touches the object above
+the table.
+
+`PlantWorld` is the plant as a world of closed loops and other benches.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import radians
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.geometry import Box, CollisionFilterDeclaration, GeometrySet, Sphere
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    ModelInstanceIndex,
+    PdControllerGains,
+    PrismaticJoint,
+    SpatialInertia,
+)
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, DiagramBuilder
+from shapely import Point
+
+from gridpush_drake.bench.study import JobKind
+from gridpush_drake.dynamics.bodies import Bodies
+from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import choose_pusher_radius
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import PushError
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.prediction import calc_pose_error
+from gridpush_drake.jobs.run import QUIET_EXECUTION, Execution, run_jobs
+from gridpush_drake.multibody.contact_material import MakePartnerProperties
+from gridpush_drake.multibody.grid_object import AddGridObject, Base
+from gridpush_drake.multibody.ground_truth import (
+    CalcPlanarPose,
+    SetGridObjectParameters,
+    SetGridObjectPose,
+    SetGridObjectVelocity,
+    sample_ground_truth,
+)
+from gridpush_drake.multibody.parser import AddPlantAndSceneGraph
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import (
+    FALLEN_TILT,
+    OBSERVATION_COUNT,
+    CenterOfMassSupport,
+    TrackedWorld,
+    WorldMotion,
+    WorldTruth,
+)
+from gridpush_drake.report.table import ALL_RESULTS, Table, by_object, mean_of
+from gridpush_drake.units import DEG_PER_RAD, MM_PER_M
+
+DEFAULT_OBJECTS = ("claw_hammer", "combination_wrench", "toolbox", "spray_bottle")
+"""Shipped objects that are pushed."""
+
+PUSH_COUNT = 20
+"""Number of pushes of each object."""
+
+PUSH_LENGTH = 0.1
+"""Length of a push, m."""
+
+PUSHER_SPEED = 0.05
+"""Speed of the pusher, m/s."""
+
+MAX_PUSH_ANGLE = radians(30)
+"""Greatest angle of a push from the outline's inward normal, rad."""
+
+MIN_MOTION = 0.01
+"""Mean distance that a push must move the cells, m; pushes that move them less are drawn again."""
+
+MODEL_TIME_STEP = 1e-3
+"""Time step of the model, s; the planar plant has the same."""
+
+MAX_PUSH_TRIES = 100
+"""Number of random pushes that are tried before it is said that none moves the object."""
+
+BASE_KINDS: tuple[Base, ...] = ("planar", "free")
+"""Bases of the object in the plant, see `AddGridObject`."""
+
+SPIN_MODELS: tuple[Literal["none", "coupled"], ...] = ("none", "coupled")
+"""Models of how a cell resists spinning."""
+
+TIME_STEP = {"planar": 1e-3, "free": 2e-3}
+"""Time step of the plant by the object's base, s."""
+
+STICTION_TOLERANCE = 1e-5
+"""Stiction tolerance of the plant, m/s. With Drake's own, 1e-3, a finger that should stick slips by
+0.1 mm in a push of 0.1 m."""
+
+PUSH_HEIGHT = 0.012
+"""Height of the center of the pusher, a sphere, above the table, m."""
+
+PUSHER_MASS = 1.0
+"""Mass of each of the pusher's two bodies, kg."""
+
+PUSHER_GAIN = 1e7
+"""Stiffness with which the pusher is held to its path, N/m."""
+
+PUSHER_DAMPING = 1e4
+"""Damping with which the pusher is held to its path, N s/m."""
+
+TABLE_SIZE = (4.0, 4.0, 0.1)
+"""Sides of the table in the plant along x, y and z, m."""
+
+
+@dataclass(frozen=True)
+class PlantJob:
+    """The pushes of one object.
+
+    Attributes:
+        name: name of a shipped object.
+        base: base of the object in the plant.
+        seeds: seeds of the pushes.
+    """
+
+    name: str
+    base: Base
+    seeds: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class PlantScore:
+    """How far plant and model differ at the end of one push.
+
+    Attributes:
+        name: name of the object.
+        base: base of the object in the plant.
+        seed: seed of the push.
+        spin: the model's spin.
+        position: distance of both origins of the body frame, m.
+        angle: difference of both angles, rad.
+        cells: mean distance of the cells in plant and model, m.
+        moved: mean distance that the plant's cells went, m.
+        tracking_error: greatest distance of the plant's pusher from its path, m.
+        tilt: greatest tilt of the object in the plant, rad.
+    """
+
+    name: str
+    base: str
+    seed: int
+    spin: str
+    position: float
+    angle: float
+    cells: float
+    moved: float
+    tracking_error: float
+    tilt: float
+
+
+def make_jobs(
+    objects: Sequence[str], pushes: int, bases: Sequence[Base], seed: int
+) -> list[PlantJob]:
+    """Makes a job for each object and base.
+
+    Args:
+        objects: names of shipped objects.
+        pushes: number of pushes of each object.
+        bases: bases of the objects in the plant.
+        seed: seed of the first push; the others' follow.
+
+    Raises:
+        ObjectError: an object is not shipped.
+    """
+    for name in objects:
+        find_shipped_object(name)
+    seeds = tuple(range(seed, seed + pushes))
+    return [PlantJob(name, base, seeds) for base in bases for name in objects]
+
+
+def calc_scores(
+    objects: Sequence[str] = DEFAULT_OBJECTS,
+    pushes: int = PUSH_COUNT,
+    bases: Sequence[Base] = BASE_KINDS,
+    *,
+    seed: int = 0,
+    execution: Execution = QUIET_EXECUTION,
+) -> list[PlantScore]:
+    """Compares plant and model, push by push, for each spin model; see `make_jobs`."""
+    jobs = make_jobs(objects, pushes, bases, seed)
+    results = run_jobs(PLANT_JOBS.run, jobs, PLANT_JOBS.describe, execution)
+    return [score for result in results for score in result]
+
+
+def run_job(job: PlantJob) -> list[PlantScore]:
+    """Pushes one object in the plant and in the model, once for each seed."""
+    obj = GridObject.from_yaml(find_shipped_object(job.name))
+    radius = choose_pusher_radius(obj)
+    world = PlantWorld(Model(obj, CellParameters.uniform(obj)), radius=radius, base=job.base)
+    scores = []
+    for seed in job.seeds:
+        params = sample_ground_truth(obj, seed, friction_by_part=True)
+        push, pose = draw_push(Model(obj, params), seed, radius)
+        world.set_params(params)
+        world.put(pose)
+        world.execute(push)
+        motion = world.truth.motion
+        assert motion is not None
+        assert motion.tilt is not None
+        moved = calc_pose_error(obj, motion.poses[-1], pose).cell
+        for spin in SPIN_MODELS:
+            physics = Physics(regime="inertial", spin=spin)
+            expected = simulate(Model(obj, params, physics), push, pose, MODEL_TIME_STEP)
+            error = calc_pose_error(obj, expected.final_pose, motion.poses[-1])
+            scores.append(
+                PlantScore(
+                    name=job.name,
+                    base=job.base,
+                    seed=seed,
+                    spin=spin,
+                    position=error.position,
+                    angle=error.angle,
+                    cells=error.cell,
+                    moved=moved,
+                    tracking_error=world.tracking_error,
+                    tilt=float(motion.tilt.max()),
+                )
+            )
+    return scores
+
+
+def draw_push(model: Model, seed: int, radius: float) -> tuple[Push, Array]:
+    """Draws a push from a place of the outline inwards, and where the object lies.
+
+    Args:
+        model: one object, with its parameters.
+        seed: seed of the push and the pose.
+        radius: radius of the pusher, m.
+
+    Returns:
+        The push, and the object's pose (3,), m and rad.
+
+    Raises:
+        PushError: hardly any push moves the object.
+    """
+    obj = model.obj
+    rng = np.random.default_rng((seed, 3))
+    for _ in range(MAX_PUSH_TRIES):
+        pose = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi)])
+        place = rng.uniform(0, obj.edges.perimeter)
+        angle = rng.uniform(-MAX_PUSH_ANGLE, MAX_PUSH_ANGLE)
+        point, _, normal = obj.edges.at(place)
+        # In a notch the pusher may not reach the place without touching another one.
+        if obj.outline.distance(Point(point + normal * radius)) < (1 - 1e-6) * radius:
+            continue
+        push = Push.on_outline(
+            obj, place, angle, PUSH_LENGTH, radius=radius, speed=PUSHER_SPEED, pose=pose
+        )
+        last = simulate(model, push, pose, regime="inertial").final_pose
+        if calc_pose_error(obj, last, pose).cell >= MIN_MOTION:
+            return push, pose
+    raise PushError(
+        f"{obj.name}: none of {MAX_PUSH_TRIES} random pushes moves it by "
+        f"{MIN_MOTION * MM_PER_M:g} mm"
+    )
+
+
+def make_table(scores: Sequence[PlantScore]) -> Table:
+    """Sums up scores by object, base and spin model, and over all objects."""
+    names = list(dict.fromkeys(score.name for score in scores))
+    groups = [
+        ((name, base, spin), found)
+        for base in dict.fromkeys(score.base for score in scores)
+        for spin in SPIN_MODELS
+        for (name,), found in by_object(
+            [s for s in scores if (s.base, s.spin) == (base, spin)], names
+        )
+        if name != ALL_RESULTS or len(names) > 1
+    ]
+    columns = {
+        "pushes": len,
+        "moved, mm": mean_of("moved", MM_PER_M),
+        "mean, mm": mean_of("position", MM_PER_M),
+        "max, mm": lambda some: MM_PER_M * max(score.position for score in some),
+        "mean, °": mean_of("angle", DEG_PER_RAD),
+        "max, °": lambda some: DEG_PER_RAD * max(score.angle for score in some),
+        "cells, mm": mean_of("cells", MM_PER_M),
+    }
+    worst = max(score.tracking_error for score in scores)
+    notes = (
+        f"Difference of the last poses after pushes of {PUSH_LENGTH * 100:g} cm at "
+        f"{PUSHER_SPEED * 100:g} cm/s; random parts.",
+        "Planar: every foot bears its cell's weight, dt 1 ms.",
+        "Free: six degrees of freedom, pushed 12 mm above the table, dt 2 ms: load shifts to the "
+        "cells in front.",
+        "Spin: the model's; none is the plant's sphere feet.",
+        f"The plant's pusher left its path by at most {worst * 1e6:.1f} µm.",
+    )
+    return Table.of(
+        "MultibodyPlant against the grid LCP", ("object", "base", "spin"), groups, columns, notes
+    )
+
+
+class PlantWorld(TrackedWorld):
+    """An object in a MultibodyPlant on a table, pushed by a sphere along a given path.
+
+    The sphere slides on two prismatic joints, x and y, and is held to its path by stiff implicit PD
+    gains: it errs by force/gain, 1e-6 m. A pusher of huge mass at constant velocity would seem
+    simpler, but Drake's solver stops at a residual relative to the largest momentum around, and the
+    object's motion is then not solved at all.
+
+    With the "planar" base the object cannot fall: as in `SimulatedWorld`, it counts as fallen where
+    its center of mass leaves the hull of what lies on the table. With the "free" base it has fallen
+    where it tilts by FALLEN_TILT.
+
+    Attributes:
+        bodies: the object with its true masses and frictions; `set_params` changes them.
+        radius: radius of the pusher, m.
+        dt: time step of the plant, s.
+        plant: the plant.
+        scene_graph: its geometry.
+        pusher: the pusher's model instance.
+        handle: the object in the plant.
+        simulator: what advances plant and geometry.
+        tracking_error: greatest distance of the pusher from its path during the last push, m.
+    """
+
+    bodies: Bodies
+
+    def __init__(
+        self,
+        bodies: Bodies,
+        pose: ArrayLike = (0.0, 0.0, 0.0),
+        surface: SupportSurface | None = None,
+        *,
+        radius: float | None = None,
+        base: Base = "planar",
+        push_height: float = PUSH_HEIGHT,
+        edge: float | None = None,
+        position_std: float = 0.0,
+        angle_std: float = 0.0,
+        seed: int | np.random.Generator = 0,
+        observations: int = OBSERVATION_COUNT,
+        **options: Any,
+    ) -> None:
+        """Builds the plant, which pushes as often as wanted, and puts the object down.
+
+        Args:
+            bodies: the object with its true masses and frictions.
+            pose: (3,) where it lies, m and rad.
+            surface: the table as far as falling goes, see above; None for one without end. The
+                plant's own table is TABLE_SIZE large.
+            radius: radius of the pusher, m; the one that planners push with where None.
+            base: "planar" or "free".
+            push_height: height of the pusher's center above the table, m.
+            edge: x of the plant's table's edge in W, m: the table is where x is less; None for a
+                table about the world's origin.
+            position_std: standard deviation of seen positions, per axis, m.
+            angle_std: standard deviation of seen angles, rad.
+            seed: seed of the noise, or the generator that draws it.
+            observations: number of poses that are seen during a push after the first one.
+            options: passed on to `AddGridObject`.
+        """
+        self.bodies = bodies
+        self.radius = choose_pusher_radius(bodies.obj, radius)
+        self.dt = TIME_STEP[base]
+        self.tracking_error = 0.0
+        self._support = (
+            None
+            if surface is None
+            else CenterOfMassSupport(bodies.obj, bodies.center_of_mass, surface)
+        )
+        builder = DiagramBuilder()
+        self.plant, self.scene_graph = AddPlantAndSceneGraph(builder, self.dt)
+        self.plant.set_stiction_tolerance(STICTION_TOLERANCE)
+        middle = [0.0 if edge is None else edge - TABLE_SIZE[0] / 2, 0.0, -TABLE_SIZE[2] / 2]
+        table = self.plant.RegisterCollisionGeometry(
+            self.plant.world_body(),
+            RigidTransform(np.array(middle)),
+            Box(*TABLE_SIZE),
+            "table",
+            MakePartnerProperties(),
+        )
+        self.pusher = AddPusher(self.plant, self.radius, push_height)
+        self.handle = AddGridObject(
+            self.plant, self.scene_graph, bodies, base, table=[table], **options
+        )
+        # The pusher may be low, and must not rub on the table.
+        tip = self.plant.GetCollisionGeometriesForBody(self.plant.GetBodyByName("tip", self.pusher))
+        self.scene_graph.collision_filter_manager().Apply(
+            CollisionFilterDeclaration().ExcludeBetween(GeometrySet(tip), GeometrySet(table))
+        )
+        self.plant.Finalize()
+        self.simulator = Simulator(builder.Build())
+        self.set_params(bodies.params)
+        super().__init__(
+            pose,
+            position_std=position_std,
+            angle_std=angle_std,
+            seed=seed,
+            observations=observations,
+        )
+
+    def set_params(self, params: CellParameters) -> None:
+        """Gives the object other masses and frictions."""
+        context = self.simulator.get_mutable_context()
+        SetGridObjectParameters(self.plant, self.scene_graph, context, self.handle, params)
+        self.bodies = self.bodies.with_params(params)
+
+    def do_put(self, pose: Array) -> Array:
+        """Puts the object down flat at a pose (3,), at rest."""
+        SetGridObjectPose(self.plant, self._plant_context, self.handle, pose)
+        return pose
+
+    def do_push(self, push: Push, pose: Array) -> WorldMotion:
+        """Pushes the object from where it is, at rest.
+
+        Raises:
+            PushError: the pusher's radius is another.
+        """
+        if not np.isclose(push.radius, self.radius):
+            raise PushError(
+                f"push: the radius is {push.radius:g} m; "
+                f"expected that of the plant's pusher, {self.radius:g} m"
+            )
+        plant = self.plant
+        context = self.simulator.get_mutable_context()
+        plant_context = self._plant_context
+        times = np.linspace(0, push.duration, round(push.duration / self.dt) + 1)
+        path = push.tip_at(times)
+        velocity = np.gradient(path, times, axis=0)
+        desired = plant.get_desired_state_input_port(self.pusher)
+
+        # Everything is at rest but the pusher, which is on its path already.
+        SetGridObjectVelocity(plant, plant_context, self.handle, (0.0, 0.0, 0.0))
+        plant.SetPositions(plant_context, self.pusher, path[0])
+        plant.SetVelocities(plant_context, self.pusher, velocity[0])
+        desired.FixValue(plant_context, np.r_[path[0], velocity[0]])
+        context.SetTime(0)
+        self.simulator.Initialize()
+
+        poses = [CalcPlanarPose(plant, plant_context, self.handle)]
+        tilt = [0.0]
+        self.tracking_error = 0.0
+        for i in range(1, len(times)):
+            # The gains act at the step's end, so that is where the pusher is wanted.
+            desired.FixValue(plant_context, np.r_[path[i], velocity[i]])
+            self.simulator.AdvanceTo(i * self.dt)
+            poses.append(CalcPlanarPose(plant, plant_context, self.handle))
+            off = float(np.linalg.norm(plant.GetPositions(plant_context, self.pusher) - path[i]))
+            self.tracking_error = max(self.tracking_error, off)
+            tilt.append(self._read_tilt())
+        made = np.array(poses)
+        made[:, 2] = np.unwrap(np.append(pose[2], made[:, 2]))[1:]
+        fell = max(tilt) >= FALLEN_TILT or (self._support is not None and self._support.falls(made))
+        return WorldMotion(times=times, poses=made, fell=fell, tilt=np.array(tilt))
+
+    @property
+    def truth(self) -> WorldTruth:
+        """What is true of the object now, for judges only."""
+        return replace(super().truth, tilt=self._read_tilt())
+
+    @property
+    def _plant_context(self) -> Context:
+        return self.plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
+
+    def _read_tilt(self) -> float:
+        """Reads the angle of B's z axis from the vertical, rad."""
+        X_WB = self.plant.EvalBodyPoseInWorld(self._plant_context, self.handle.body)
+        upright = X_WB.rotation().matrix()[2, 2]
+        return float(np.arccos(np.clip(upright, -1, 1)))
+
+
+PLANT_JOBS = JobKind(job=PlantJob, run=run_job, describe=lambda job: f"{job.name}, {job.base}")
+"""What is done with a job."""
+
+
+def AddPusher(plant: MultibodyPlant, radius: float, height: float) -> ModelInstanceIndex:
+    """Adds a sphere on two prismatic joints, x and y of the world, with PD gains, before Finalize.
+
+    Args:
+        plant: the plant.
+        radius: radius of the sphere, m.
+        height: height of its center above the world's origin, m.
+
+    Returns:
+        Its model instance; the desired state is x, y (m) and their rates (m/s).
+    """
+    instance = plant.AddModelInstance("pusher")
+    inertia = SpatialInertia.SolidSphereWithMass(PUSHER_MASS, radius)
+    slide = plant.AddRigidBody("slide", instance, inertia)
+    tip = plant.AddRigidBody("tip", instance, inertia)
+    X_WR = RigidTransform(np.array([0, 0, height]))
+    rail = plant.AddFrame(FixedOffsetFrame("rail", plant.world_frame(), X_WR, instance))
+    for name, parent, child, axis in (
+        ("x", rail, slide.body_frame(), [1, 0, 0]),
+        ("y", slide.body_frame(), tip.body_frame(), [0, 1, 0]),
+    ):
+        joint = plant.AddJoint(PrismaticJoint(name, parent, child, np.array(axis)))
+        gains = PdControllerGains(p=PUSHER_GAIN, d=PUSHER_DAMPING)
+        plant.AddJointActuator(name, joint).set_controller_gains(gains)
+    plant.RegisterCollisionGeometry(
+        tip, RigidTransform(), Sphere(radius), "tip", MakePartnerProperties()
+    )
+    return instance

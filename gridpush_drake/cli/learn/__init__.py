@@ -1,0 +1,1 @@
+"""Commands that read and make pushes, and learn from them."""

@@ -1,0 +1,1 @@
+"""Commands that plan for a robot, and run one."""

@@ -1,0 +1,1 @@
+"""Laws of friction, and how they are registered."""

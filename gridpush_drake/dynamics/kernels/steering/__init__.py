@@ -1,0 +1,1 @@
+"""Kernels of searches for a steered finger's motion."""

@@ -1,0 +1,1 @@
+"""Mass, center of mass and friction in absolute numbers."""

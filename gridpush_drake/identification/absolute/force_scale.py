@@ -1,0 +1,332 @@
+"""What measured forces add to poses: the absolute scale of friction.
+
+Slow pushes show the shares x_i = k_i / sum k of the friction alone. With them the model says the
+force of a push up to the scale, F(t) = K f(t), K = g sum k_i the friction of the whole object. Each
+push p so measures K by least squares,
+
+    K_p = sum_j f_j·(y_j + mu s_j f_j) / sum_j f_j·f_j,    y_j the forces seen,
+
+and their spread says how well (`docs/theory/identification.md`, section 10). Here s_j is the upward
+part of the force, by which the finger takes weight off the table, and mu the mean friction
+coefficient. Only forces count that were measured while the finger pushed steadily: as it meets the
+object, and as it stops, the force is anything from nothing to all that friction can carry. It is
+not for fast pushes, whose forces accelerate the object, too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.physics import GRAVITY
+from gridpush_drake.geometry.se2 import Array, IntArray
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.statistics.posterior import Posterior
+from gridpush_drake.identification.statistics.problem import TimedPush
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import PushLog
+
+PUSH_STD = 0.15
+"""Prior standard deviation of K from push to push, over K: the friction of a table differs by so
+much from place to place."""
+
+PUSH_STD_WEIGHT = 3.0
+"""Number of pushes that the prior belief in `PUSH_STD` is worth."""
+
+HUBER_DISTANCE = 1.5
+"""Distance from the mean, in standard deviations, beyond which a push counts less (Huber)."""
+
+REWEIGHTING_ROUNDS = 20
+"""Number of times that the pushes' weights are computed anew."""
+
+SETTLE_DISTANCE = 0.003
+"""Way of the finger after it meets the object, by the model, on which forces do not count, m. Where
+it truly meets it is known to a millimeter or two, and an arm that is held by springs needs a moment
+until it pushes with all of its force."""
+
+STEADY_FRACTION = 0.9
+"""A force counts only if the finger was at least this fraction as fast as in the middle of the
+push. While it slows down to stop, an object that stands already may push back with less than its
+friction."""
+
+MIN_STEADY = 3
+"""Least number of steady forces by which a push says anything. Only if no push has as many, as in a
+log with few forces, do all forces of all pushes count."""
+
+POSTERIOR_DRAWS = 8
+"""Number of draws from the posterior whose K are compared, because K is only as sure as the
+normalized loads are."""
+
+MAX_DRAWN_PUSHES = 20
+"""Most pushes that are simulated with each draw."""
+
+BOUND_SIGMAS = 2.0
+"""Number of standard deviations between K and each of its bounds."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Felt:
+    """Some forces of a push, and what the model says of them.
+
+    Attributes:
+        model: (F, 2) simulated force on the object, over the whole friction.
+        seen: (F, 2) the measured one, N.
+        lift: (F,) its upward part, N; 0 where it was not measured.
+    """
+
+    model: Array
+    seen: Array
+    lift: Array
+
+    def take(self, chosen: NDArray[np.bool_]) -> "_Felt":
+        """Takes some of the forces by a mask (F,)."""
+        return _Felt(self.model[chosen], self.seen[chosen], self.lift[chosen])
+
+
+@dataclass(frozen=True)
+class ForceScale:
+    """What the measured forces say.
+
+    Attributes:
+        friction: K, N: the friction with the table that the whole object can carry.
+        relative_std: standard deviation of K over K.
+        pushes: number of pushes from whose forces it is known.
+        against: number of pushes whose forces point against the pusher's motion, and were left out.
+        gravity: gravity by which masses follow from forces, m/s².
+    """
+
+    friction: float
+    relative_std: float
+    pushes: int
+    against: int = 0
+    gravity: float = GRAVITY
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and greatest K, N, BOUND_SIGMAS standard deviations below and above it."""
+        # K is lognormal: the bounds are as many times smaller and larger.
+        factor = float(np.exp(BOUND_SIGMAS * self.relative_std))
+        return self.friction / factor, self.friction * factor
+
+    def calc_mass_bounds(self, obj: GridObject) -> tuple[float, float]:
+        """Least and greatest mass, kg, with friction coefficients within the object's bounds."""
+        # Section 10: K_- / (g mu_max) <= M <= K_+ / (g mu_min).
+        low, high = self.bounds
+        lightest = low / (self.gravity * obj.prior.friction_max)
+        heaviest = high / (self.gravity * obj.prior.friction_min)
+        return lightest, heaviest
+
+    def calc_mean_friction_bounds(self, obj: GridObject) -> tuple[float, float] | None:
+        """Bounds of the mean coefficient t = sum mu_i m_i / sum m_i of an object of known mass.
+
+        Returns:
+            The least and the greatest, within the bounds of the cells' coefficients; None where the
+            mass is not known, or does not agree with the forces.
+        """
+        if obj.prior.total_mass is None:
+            return None
+        # Section 10: t = K / (g M).
+        weight = self.gravity * obj.prior.total_mass
+        low = max(self.bounds[0] / weight, obj.prior.friction_min)
+        high = min(self.bounds[1] / weight, obj.prior.friction_max)
+        return (low, high) if low <= high else None
+
+    def rescale(self, model: Model) -> CellParameters:
+        """Gives parameters the scale of the forces.
+
+        The masses are scaled if the object's mass is not known, else the friction coefficients. If
+        mass and forces contradict each other, the parameters stay as they are.
+        """
+        obj = model.obj
+        params = model.params
+        ratio = self.friction / (self.gravity * float(params.mass @ params.friction))
+        if obj.prior.total_mass is None:
+            return replace(params, mass=ratio * params.mass)
+        bounds = self.calc_mean_friction_bounds(obj)
+        if bounds is None:
+            return params
+        friction = np.clip(ratio * params.friction, obj.prior.friction_min, obj.prior.friction_max)
+        return replace(params, friction=friction)
+
+
+def calc_force_scale(
+    model: Model,
+    posterior: Posterior,
+    log: PushLog,
+    seed: int = 0,
+) -> ForceScale | None:
+    """Calculates the scale of the friction from the forces of slow pushes.
+
+    Args:
+        model: one object, with its parameters and physics.
+        posterior: their spread.
+        log: the pushes learned from, some with forces on the object.
+        seed: seed of the draws from the posterior.
+
+    Returns:
+        The scale; None where no force was measured while an object was pushed steadily, or most
+        point against the pusher.
+    """
+    physics = model.physics
+    with_force = [seen for seen in log if seen.force is not None]
+    timed = [TimedPush.of(seen, physics.regime, log.table) for seen in with_force]
+    if not timed:
+        return None
+
+    # Forces against the pusher's motion are wrong: of sign or frame. If as many are wrong as
+    # right, none can be trusted.
+    scales, stds, lifts = _calc_scales(model, timed)
+    right = scales > 0
+    against = int((np.isfinite(scales) & ~right).sum())
+    if against >= right.sum():
+        return None
+    mean, variance = _average(scales[right], stds[right])
+
+    # How much the weight rubs that the finger carried is not known: its friction is that of the
+    # object, and an error of that is common to all pushes.
+    carried = float((model.obj.prior.friction_std * lifts[right].mean() / mean) ** 2)
+
+    # An error of the normalized loads is common to all pushes, and does not average out.
+    few = [one for one, use in zip(timed, right, strict=True) if use][:MAX_DRAWN_PUSHES]
+    draws = posterior.draw_parameters(model.params, POSTERIOR_DRAWS, seed)
+    drawn = [_calc_scales(model.with_params(draw), few)[0] for draw in draws]
+    medians = [np.median(scales[scales > 0]) for scales in drawn if (scales > 0).any()]
+    spread = float(np.var(np.log(medians))) if len(medians) > 1 else 0.0
+    return ForceScale(
+        friction=mean,
+        relative_std=float(np.sqrt(variance + carried + spread)),
+        pushes=int(right.sum()),
+        against=against,
+        gravity=physics.gravity,
+    )
+
+
+def _calc_scales(model: Model, pushes: Sequence[TimedPush]) -> tuple[Array, Array, Array]:
+    """Calculates K_p of each push, and how much of it the noise of the forces may be.
+
+    Returns:
+        K_p (P,), N; NaN where none of the push's forces count, or the model has no force while one
+        was measured. Its standard deviation (P,) by the noise of single forces, N. And the weight
+        (P,) that the finger carried, on average, N: dK_p/dmu.
+    """
+    params = model.params
+    whole = model.physics.gravity * float(params.mass @ params.friction)
+    friction = float(params.mass @ params.friction) / params.total_mass
+    scales = []
+    sizes = []
+    lifts = []
+    squares = 0.0
+    freedom = 0
+    for felt in _choose_forces(model, pushes, whole):
+        f = felt.model
+        # Whatever weight the finger carries does not rub on the table: y_j = (K - mu s_j) f_j.
+        y = felt.seen + friction * felt.lift[:, None] * f
+        # K_p = sum_j f_j·(y_j + mu s_j f_j) / sum_j f_j·f_j
+        size = float((f * f).sum())
+        scale = float((f * y).sum()) / size if size > 0 else np.nan
+        scales.append(scale)
+        sizes.append(size)
+        lifts.append(float(felt.lift @ (f * f).sum(axis=1)) / size if size > 0 else 0.0)
+        # What is left of the forces is their noise, for which all pushes speak together.
+        if size > 0:
+            squares += float(((y - scale * f) ** 2).sum())
+            freedom += y.size - 1
+    variance = squares / max(freedom, 1)
+    with np.errstate(divide="ignore"):
+        stds = np.sqrt(variance / np.array(sizes))
+    return np.array(scales), stds, np.array(lifts)
+
+
+def _choose_forces(
+    model: Model,
+    pushes: Sequence[TimedPush],
+    whole: float,
+) -> list[_Felt]:
+    """Chooses the forces of each push that count; `whole` is the whole friction, N."""
+    felt = []
+    steady = []
+    for one in pushes:
+        motion = one.simulate(model, record=[])
+        force = motion.contact_forces.sum(axis=1) / whole
+        seen = one.observed
+        assert seen.force_t is not None and seen.force is not None
+        lift = np.zeros(len(seen.force_t)) if seen.lift_force is None else seen.lift_force
+        steps = _find_steps(one.times, seen.force_t, len(force))
+        felt.append(_Felt(force[steps], seen.force, lift))
+        steady.append(_find_steady(one, force))
+    # A push that was too short to become steady says nothing, as it met the object or stopped all
+    # of the time: its forces are too small. It is left out unless all are like that.
+    enough = [int(mask.sum()) >= MIN_STEADY for mask in steady]
+    if not any(enough):
+        return felt
+    return [one.take(mask & there) for one, mask, there in zip(felt, steady, enough, strict=True)]
+
+
+def _find_steady(one: TimedPush, force: Array) -> NDArray[np.bool_]:
+    """Finds the forces that were measured while the finger pushed steadily.
+
+    Args:
+        one: the push, with measured forces.
+        force: (T, 2) simulated force on the object during each step, over the whole friction.
+
+    Returns:
+        A mask (F,) of the measured forces.
+    """
+    seen = one.observed
+    assert seen.force_t is not None and seen.force is not None
+    # A force is the mean of all samples of about this time before and after.
+    half = float(np.median(np.diff(seen.force_t))) / 2 if len(seen.force_t) > 1 else 0.0
+    begin = seen.push.distance_at(seen.force_t - half)
+    end = seen.push.distance_at(seen.force_t + half)
+
+    # The force of the step within which each sample was taken, and that in which it began.
+    steps = _find_steps(one.times, seen.force_t, len(force))
+    first_steps = _find_steps(one.times, seen.force_t - half, len(force))
+
+    # How far the finger has come since it met the object the last time, at each step's beginning.
+    apart = np.asarray((force == 0.0).all(axis=1))
+    way = seen.push.distance_at(one.times)
+    met = np.maximum.accumulate(np.where(apart, way[1:], 0.0))
+    settled = begin - met[first_steps] >= SETTLE_DISTANCE
+    lost = apart[first_steps] | apart[steps]
+    gone = end - begin
+    return np.asarray(settled & ~lost & (gone >= STEADY_FRACTION * np.median(gone)))
+
+
+def _find_steps(times: Array, wanted: Array, count: int) -> IntArray:
+    """Finds the step of a simulation, of `count` steps, within which each of some times (F,) is."""
+    return np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, count - 1)
+
+
+def _average(scales: Array, stds: Array) -> tuple[float, float]:
+    """Averages the scales of pushes robustly.
+
+    A push's scale differs from the mean by the table's friction there, whose spread s is found
+    here, and by the noise of its forces.
+
+    Args:
+        scales: (P,) K_p, N.
+        stds: (P,) their standard deviations by the noise of the forces, N.
+
+    Returns:
+        K, N, and the variance of K / K.
+    """
+    mean = float(np.median(scales))
+    variance = PUSH_STD**2
+    weights = np.ones(len(scales))
+    total = np.full(len(scales), variance)
+    for _ in range(REWEIGHTING_ROUNDS):
+        off = scales / mean - 1
+        total = variance + (stds / mean) ** 2
+        distance = np.maximum(np.abs(off), np.finfo(float).tiny)
+        weights = np.minimum(1.0, HUBER_DISTANCE * np.sqrt(total) / distance)
+        mean = float((weights / total) @ scales / (weights / total).sum())
+        # Section 10: s² = (nu s_0² + sum w_p e_p²) / (nu + sum w_p - 1), with e_p² what the table's
+        # part of the distance is expected to be, squared.
+        fraction = variance / total
+        expected = (fraction * (scales / mean - 1)) ** 2 + variance * (1 - fraction)
+        squares = float(weights @ expected)
+        variance = (PUSH_STD_WEIGHT * PUSH_STD**2 + squares) / (PUSH_STD_WEIGHT + weights.sum() - 1)
+    return mean, 1 / float((weights / total).sum())

@@ -1,0 +1,1 @@
+"""Fits of a model to pushes under hypotheses about its load, and their average."""

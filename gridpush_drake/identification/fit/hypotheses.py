@@ -1,0 +1,338 @@
+"""Hypotheses of how an object bears on the table: the open list that the default identifier weighs.
+
+No outline tells which cells bear how much. A hypothesis is one idea of it. It is an object with a
+name and the method `propose`, which turns the idea into one or several normal priors of
+z = (log k, log mu_c). `MapEnsemble` fits every prior to the pushes and weighs the fits by their
+evidence; it knows neither how many hypotheses there are nor what they say.
+
+Shipped are
+
+* `SmoothField`: log k ~ N(log k_0, a² C), neighboring cells alike, of one amplitude a;
+* `TwoParts`: two parts, as of steel and of wood, that meet at a straight cut. With h = 1/2 on one
+  side of the cut and -1/2 on the other,
+
+      log k ~ N(log k_0, a_p² C + sigma_p² h h^T)
+
+* `RigidBottom`: a flat rigid bottom, which stands on corners of the outline's convex hull;
+* `Concentrated`: the load is gathered in the middle, or out at the rim. With q the squared distance
+  from the middle, standardized over the cells,
+
+      log k ~ N(log k_0, a_r² C + sigma_r² q q^T);
+
+* `Ring`: the load lies in a ring about the middle, h = exp(-(d - r)² / (2 w²)), standardized, with
+  d the distance from the middle,
+
+      log k ~ N(log k_0, a_o² C + sigma_o² h h^T)
+
+A further hypothesis is a class with the attributes and the method of `LoadHypothesis`, passed as
+`identify(..., ensemble=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, Mine())))`. Theory:
+`docs/theory/identification.md`, sections 3 and 5. The fits themselves are made in `map_fit`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.fit.load_modes import (
+    calc_radius_mode,
+    find_corners,
+    find_cuts,
+    find_rings,
+)
+from gridpush_drake.identification.fit.load_prior import (
+    RANGE_CELLS,
+    HypothesisInputs,
+    LoadPrior,
+    calc_prior_factor,
+)
+from gridpush_drake.identification.fit.mode_choice import propose_modes
+
+FIELD_AMPLITUDES = (0.05, 0.3, 0.7, 1.5, 3.0, 6.0)
+"""Standard deviations of log k of the shipped smooth fields; the first is an almost even object."""
+
+EVEN_AMPLITUDE = 0.1
+"""A smooth field whose cells differ by no more than this standard deviation of log k stands for an
+even object."""
+
+AMPLITUDE_EXPONENT = 0.65
+"""A smooth field of amplitude a has the prior weight a^-WEAKNESS, so that a few noisy pushes do not
+talk the model out of an even object."""
+
+CENTER_STD = 0.6
+"""Standard deviation per axis of the center of friction about the cells' centroid where nothing is
+known of the center of mass, in radii of gyration."""
+
+
+class LoadHypothesis(Protocol):
+    """One idea of how an object bears on the table.
+
+    Attributes:
+        name: short name, unique in an ensemble; results and reports show it.
+        needs_pushes: whether `propose` looks at `Setting.pushes`. Such hypotheses are asked last,
+            with the pushes made linear about the best fit of the others.
+    """
+
+    @property
+    def name(self) -> str:
+        """Short name, unique in an ensemble."""
+        ...
+
+    @property
+    def needs_pushes(self) -> bool:
+        """Whether `propose` looks at `Setting.pushes`."""
+        ...
+
+    def propose(self, setting: HypothesisInputs) -> Sequence[LoadPrior]:
+        """Proposes priors of z for an object; none where the idea does not apply to it."""
+        ...
+
+
+def _check_positive(hypothesis: "SmoothField | Concentrated | Ring") -> None:
+    """Raises IdentificationError: a number of a hypothesis is not positive and finite."""
+    for field in fields(hypothesis):
+        value = getattr(hypothesis, field.name)
+        if not 0 < value < np.inf:
+            raise IdentificationError(
+                f"{type(hypothesis).__name__}: {field.name} is {value}; "
+                "expected a positive finite number"
+            )
+
+
+@dataclass(frozen=True)
+class SmoothField:
+    """Neighboring cells bear alike: log k ~ N(log k_0, a² C).
+
+    The smooth fields of an ensemble are fitted in the order of their amplitudes, each from where
+    the last one ended: coarse to fine.
+
+    Attributes:
+        amplitude: a, standard deviation of log k.
+        range_cells: correlation range, cells.
+    """
+
+    amplitude: float
+    range_cells: float = RANGE_CELLS
+
+    def __post_init__(self) -> None:
+        """Raises IdentificationError: a number is not positive and finite."""
+        _check_positive(self)
+
+    @property
+    def name(self) -> str:
+        """Short name, with the amplitude."""
+        return f"smooth field {self.amplitude:g}"
+
+    @property
+    def needs_pushes(self) -> bool:
+        """False: the prior is the same for all pushes."""
+        return False
+
+    def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
+        """Proposes the smooth field."""
+        prior = LoadPrior(
+            mean=setting.z0,
+            factor=calc_prior_factor(
+                setting.calc_smooth_covariance(self.range_cells),
+                self.amplitude,
+                setting.log_contact_friction_std,
+            ),
+            weight=self.amplitude**-AMPLITUDE_EXPONENT,
+            p_BC=setting.obj.p_BC,
+            stands_for_even=self.amplitude <= EVEN_AMPLITUDE,
+        )
+        return [prior]
+
+
+@dataclass(frozen=True)
+class RigidBottom:
+    """A flat rigid bottom stands on corners of the outline's convex hull, whichever bear most.
+
+    Attributes:
+        weight: prior weight. (All shipped smooth fields together weigh 12.0.) With more, one push
+            alone could take a heavy head for a body on corners.
+        corner_std: standard deviation of log k at a corner; it is large because some corners bear
+            next to nothing.
+        rest_fraction: fraction of the load that rests on all other cells together.
+        rest_std: standard deviation of log k of those.
+    """
+
+    weight: float = 0.05
+    corner_std: float = 2.5
+    rest_fraction: float = 0.02
+    rest_std: float = 0.05
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return "rigid bottom"
+
+    @property
+    def needs_pushes(self) -> bool:
+        """False: the corners follow from the outline."""
+        return False
+
+    def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
+        """Proposes loads at the corners, where no cell has its center."""
+        obj = setting.obj
+        corners, p_corners = find_corners(obj)
+        rest = np.setdiff1d(np.arange(obj.n), corners)
+        mean = setting.z0.copy()
+        mean[rest] += np.log(self.rest_fraction * len(corners) / max(len(rest), 1))
+        variance = np.full(obj.n, self.corner_std**2)
+        variance[rest] = self.rest_std**2
+        p_BC = obj.p_BC.copy()
+        p_BC[corners] = p_corners
+        factor = calc_prior_factor(np.diag(variance), 1.0, setting.log_contact_friction_std)
+        return [LoadPrior(mean=mean, factor=factor, weight=self.weight, p_BC=p_BC)]
+
+
+@dataclass(frozen=True)
+class Concentrated:
+    """The load is gathered in the middle of the object, as in a bowl, or out at its rim.
+
+    How far out the load lies is what turns an object most when it is pushed, and a smooth field has
+    no single freedom for it. Here one number shifts the load inwards or outwards; within that,
+    neighboring cells bear alike.
+
+    Attributes:
+        weight: prior weight. (All shipped smooth fields together weigh 12.0.)
+        radius_std: sigma_r, standard deviation of how much log k changes over one standard
+            deviation of the squared distance from the middle.
+        amplitude: a_r, standard deviation of log k beside that.
+        range_cells: correlation range beside that, cells.
+    """
+
+    weight: float = 1.0
+    radius_std: float = 2.0
+    amplitude: float = 0.3
+    range_cells: float = RANGE_CELLS
+
+    def __post_init__(self) -> None:
+        """Raises IdentificationError: a number is not positive and finite."""
+        _check_positive(self)
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return "concentrated"
+
+    @property
+    def needs_pushes(self) -> bool:
+        """False: the prior is the same for all pushes."""
+        return False
+
+    def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
+        """Proposes it; nothing where all cells are equally far from the middle."""
+        obj = setting.obj
+        q = calc_radius_mode(obj)
+        if not q.any():
+            return []
+        # C(log k) = a_r² C + sigma_r² q q^T
+        C = setting.calc_smooth_covariance(self.range_cells)
+        covariance = self.amplitude**2 * C + self.radius_std**2 * np.outer(q, q)
+        factor = calc_prior_factor(covariance, 1.0, setting.log_contact_friction_std)
+        return [LoadPrior(mean=setting.z0, factor=factor, weight=self.weight, p_BC=obj.p_BC)]
+
+
+@dataclass(frozen=True)
+class TwoParts:
+    """The object is of two parts, as of steel and of wood, that meet at a straight cut.
+
+    Every cut that leaves both parts a fraction of the cells is scored to first order; the best few,
+    no two alike, are proposed.
+
+    Attributes:
+        weight: prior weight of all cuts together. (All shipped smooth fields together weigh 12.0.)
+        part_std: sigma_p, standard deviation of log k between the two parts.
+        amplitude: a_p, standard deviation of log k within each part.
+        range_cells: correlation range within each part, cells.
+        max_cuts: how many cuts are proposed at most.
+    """
+
+    weight: float = 1.0
+    part_std: float = 1.5
+    amplitude: float = 0.3
+    range_cells: float = RANGE_CELLS
+    max_cuts: int = 3
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return "two parts"
+
+    @property
+    def needs_pushes(self) -> bool:
+        """True: the pushes choose the cuts."""
+        return True
+
+    def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
+        """Proposes the cuts that explain the pushes best to first order, the best one first."""
+        return propose_modes(
+            setting,
+            find_cuts(setting.obj),
+            weight=self.weight,
+            mode_std=self.part_std,
+            amplitude=self.amplitude,
+            range_cells=self.range_cells,
+            most=self.max_cuts,
+        )
+
+
+@dataclass(frozen=True)
+class Ring:
+    """The load lies in a ring about the middle, such as the foot of a bowl or the rim of a lid.
+
+    Rings of many radii are scored to first order, as the cuts of `TwoParts` are; the best one is
+    proposed.
+
+    Attributes:
+        weight: prior weight of all rings together. (All shipped smooth fields together weigh 12.0.)
+        ring_std: sigma_o, standard deviation of how much log k changes over one standard deviation
+            of the ring's mode.
+        amplitude: a_o, standard deviation of log k beside that.
+        range_cells: correlation range beside that, cells.
+    """
+
+    weight: float = 1.0
+    ring_std: float = 2.0
+    amplitude: float = 0.3
+    range_cells: float = RANGE_CELLS
+
+    def __post_init__(self) -> None:
+        """Raises IdentificationError: a number is not positive and finite."""
+        _check_positive(self)
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return "ring"
+
+    @property
+    def needs_pushes(self) -> bool:
+        """True: the pushes choose the radius."""
+        return True
+
+    def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
+        """Proposes the ring that explains the pushes best to first order."""
+        return propose_modes(
+            setting,
+            find_rings(setting.obj),
+            weight=self.weight,
+            mode_std=self.ring_std,
+            amplitude=self.amplitude,
+            range_cells=self.range_cells,
+            most=1,
+        )
+
+
+DEFAULT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
+    *(SmoothField(amplitude) for amplitude in FIELD_AMPLITUDES),
+    RigidBottom(),
+    Concentrated(),
+    TwoParts(),
+    Ring(),
+)
+"""The hypotheses that `identify` weighs unless it is told others."""

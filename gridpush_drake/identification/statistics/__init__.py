@@ -1,0 +1,1 @@
+"""The problem of learning from pushes: residuals, noise, outliers and the posterior."""

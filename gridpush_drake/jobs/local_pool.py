@@ -1,0 +1,166 @@
+"""Worker processes on this computer, which end with this process whatever happens to it.
+
+What a worker was doing that ended, or was killed, is done again by another one; a job that ends
+every worker is named, and the others are done. This pool is our own because the libraries that were
+tried cannot do all of that: loky gives up all jobs with the first worker that is killed, and leaves
+workers behind where the parent is killed; a LocalCluster of `distributed` cannot say what a worker
+ended with, and would be needed by everybody who runs a bench.
+"""
+
+import signal
+import traceback
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing import get_context, parent_process, resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from os import _exit
+from threading import Thread
+from typing import Any
+
+from gridpush_drake.jobs.executor import MAX_LOST, REPORT_EVERY, Found, LostJobsError
+
+END_WITHIN = 1.0
+"""Time that a killed worker is waited for, s."""
+
+
+class LocalPool:
+    """An `Executor` of jobs in worker processes here.
+
+    Attributes:
+        workers: number of processes, 1 or more.
+    """
+
+    def __init__(self, workers: int) -> None:
+        """Takes the number of processes."""
+        self.workers = workers
+
+    def run(
+        self, function: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]
+    ) -> Iterator[Found]:
+        """Runs a function on numbered jobs; see `Executor.run`."""
+        waiting = deque(jobs)
+        lost = Counter[int]()
+        idle: list[Connection] = []
+        busy: dict[Connection, tuple[int, Any]] = {}
+        given_up: list[int] = []
+        code: int | None = None
+        with _Workers(function) as pool:
+            while waiting or busy:
+                # Every worker that has nothing to do gets a job; one that ended meanwhile is
+                # forgotten, and another one started.
+                while waiting and len(busy) < self.workers:
+                    connection = idle.pop() if idle else pool.start()
+                    try:
+                        connection.send(waiting[0])
+                        busy[connection] = waiting.popleft()
+                    except ConnectionError:
+                        pool.drop(connection)
+
+                ready = wait(list(busy), REPORT_EVERY)
+                if not ready:
+                    yield None
+                for connection in [each for each in list(busy) if each in ready]:
+                    i, job = busy.pop(connection)
+                    try:
+                        found = _receive(connection)
+                    except (EOFError, ConnectionError):
+                        # The worker has ended: its job is done again, unless it ends them all.
+                        code = pool.drop(connection)
+                        lost[i] += 1
+                        if lost[i] < MAX_LOST:
+                            waiting.append((i, job))
+                        else:
+                            given_up.append(i)
+                        continue
+                    idle.append(connection)
+                    yield found
+        if given_up:
+            raise LostJobsError(given_up, f"exit code {code}")
+
+
+def _receive(connection: Connection) -> Any:
+    """Receives a job's number and its result. Raises what the job raised."""
+    i, result, error = connection.recv()
+    if error is not None:
+        raise error
+    return i, result
+
+
+@contextmanager
+def _blocked_signals() -> Iterator[None]:
+    """Holds back the signals that end a command; a process started meanwhile never gets them."""
+    blocked = signal.pthread_sigmask(
+        signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+    )
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+class _Workers:
+    """Worker processes, by the pipe to each; a context at whose end they are killed."""
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        """Takes what the workers do with a job."""
+        self._function = function
+        # a fork would copy other threads' locks
+        self._context = get_context("spawn")
+        self._workers: dict[Connection, BaseProcess] = {}
+
+    def __enter__(self) -> "_Workers":
+        with _blocked_signals():
+            # If the tracker were started along with the first worker, it would unblock the signals.
+            resource_tracker.ensure_running()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in self._workers.values():
+            worker.kill()
+        for connection in list(self._workers):
+            self.drop(connection)
+
+    def start(self) -> Connection:
+        """Starts a worker; returns the pipe to it."""
+        # An interrupt waits until the new process is known here; the process inherits the block.
+        with _blocked_signals():
+            here, there = self._context.Pipe()
+            process = self._context.Process(target=_work, args=(there, self._function), daemon=True)
+            process.start()
+            there.close()
+            self._workers[here] = process
+        return here
+
+    def drop(self, connection: Connection) -> int | None:
+        """Forgets a worker that has ended; returns its exit code."""
+        worker = self._workers.pop(connection)
+        worker.join(END_WITHIN)
+        connection.close()
+        return worker.exitcode
+
+
+def _work(connection: Connection, function: Callable[[Any], Any]) -> None:
+    """Does a worker's work: jobs in, answers out, until the pipe or the parent ends."""
+    # SIGTERM ends a worker; an interrupt is the parent's business.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+    Thread(target=_end_with_parent, daemon=True).start()
+    while True:
+        try:
+            i, job = connection.recv()
+        except EOFError:
+            return
+        try:
+            connection.send((i, function(job), None))
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            connection.send((i, None, error))
+
+
+def _end_with_parent() -> None:
+    """Ends this process when its parent has ended, however that happened."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        _exit(1)

@@ -1,0 +1,1 @@
+"""A camera calibrated by tags, and scale by a sheet of paper."""

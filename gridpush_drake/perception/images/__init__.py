@@ -1,0 +1,1 @@
+"""Cameras, frames and depth, and the table in a picture."""

@@ -1,0 +1,1 @@
+"""Objects' poses followed from frame to frame."""

@@ -1,0 +1,1 @@
+"""The gripper, and the parts of an object that it can take."""

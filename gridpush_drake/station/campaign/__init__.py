@@ -1,0 +1,1 @@
+"""Many episodes, their table, and their recordings as a LeRobot dataset."""

@@ -1,0 +1,1 @@
+"""What stands around the robot: table, objects, posts and camera, as a scenario has them."""

@@ -1,0 +1,1 @@
+"""A scenario: its fields, and how its file is read and written."""

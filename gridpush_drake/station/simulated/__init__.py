@@ -1,0 +1,1 @@
+"""The simulated station: one Diagram of plant, arm, gripper, camera and learner."""

@@ -1,0 +1,1 @@
+"""The tasks, how each is run, and what it reports."""

@@ -1,0 +1,1 @@
+"""What other systems are made of: messages, workers, and the base of controllers."""

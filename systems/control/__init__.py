@@ -1,0 +1,1 @@
+"""Controllers: what decides where to push, poke and grasp."""

@@ -1,0 +1,1 @@
+"""The LCP model as systems, of one object and of several."""

@@ -1,0 +1,1 @@
+"""Executors: what turns a command into a motion of the arm."""

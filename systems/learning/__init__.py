@@ -1,0 +1,1 @@
+"""The identifier as a system, and what shows its estimate."""

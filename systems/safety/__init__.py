@@ -1,0 +1,1 @@
+"""The guard before a real arm, and what it watches."""

@@ -1,0 +1,1 @@
+"""Sensors of poses, forces and pictures, and estimators of poses."""
