@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.multi_object.joint_learning import LearnJob, LearnScore, make_learn_table
 from gridpush_drake.bench.multi_object.experiments import (
     STUDY,
     SceneBenchOptions,
@@ -11,6 +10,7 @@ from gridpush_drake.bench.multi_object.experiments import (
     SceneScore,
     make_speed_table,
 )
+from gridpush_drake.bench.multi_object.joint_learning import LearnJob, LearnScore, make_learn_table
 from gridpush_drake.bench.multi_object.scene_plant import MakePlantScene
 from gridpush_drake.bench.multi_object.scene_rows import (
     PAIR_FRICTION,
