@@ -341,7 +341,7 @@ def test_settings_are_in_the_first_line(tmp_path):
     assert first["settings"] == {"seed": 0, "data": str(tmp_path), "objects": ["a"]}
     assert line == {
         "job": ["Job", {"number": 3, "folder": str(tmp_path)}],
-        "result": [{"double": 6, "share": 0.1}],
+        "result": [{"double": 6, "fraction": 0.1}],
     }
 
 
