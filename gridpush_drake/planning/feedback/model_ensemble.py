@@ -34,7 +34,7 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.feedback.pushed_object import make_model
+from gridpush_drake.planning.pushed_object import make_model
 
 LEAST_MASS = 1e-4
 """Least mass of a cell after a correction, as a fraction of the mean cell's."""

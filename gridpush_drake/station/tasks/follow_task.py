@@ -15,8 +15,8 @@ from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.feedback.follow_calculations import FollowRules
 from gridpush_drake.planning.feedback.follow_options import FollowOptions
 from gridpush_drake.planning.feedback.pose_path import PathProgress, PosePath
-from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.station.control.robot_control import Learning
 from gridpush_drake.station.scene.camera import calc_pose_age
 from gridpush_drake.station.scene.finger_region import make_steer_region
