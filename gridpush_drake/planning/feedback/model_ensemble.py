@@ -162,7 +162,7 @@ class ModelEnsemble:
         return corrects
 
     def _correct(self, pose: Array, motion: float) -> None:
-        """Corrects all models by a seen pose (3,), m and rad, after the object moved by a distance, m."""
+        """Corrects all models by a pose (3,), m and rad, seen after the object moved so far, m."""
         options = self.options
         arm = self._obj.radius_of_gyration
         tips = np.array(self._tips)
