@@ -119,7 +119,8 @@ class StationDiagram(SphinxDirective):
         return [
             nodes.raw(
                 "",
-                f'<div class="drake-diagram">{drawn[drawn.index("<svg") :]}</div>',
+                f'<label class="drake-diagram" title="Click to enlarge"><input type="checkbox" hidden>'
+                f"{drawn[drawn.index('<svg') :]}</label>",
                 format="html",
             )
         ]

@@ -82,7 +82,7 @@ def export(
         typer.Option(
             metavar="DIR",
             help="Instead, write the episodes of a campaign that was run with --record as a "
-            "LeRobot dataset (v3.0). Needs pip install 'gridpush-drake\\[lerobot]'.",
+            "LeRobot dataset (v3.0). Needs pip install '.\\[lerobot]'.",
         ),
     ] = None,
     largest_piece: options.LargestPiece = False,

@@ -104,7 +104,7 @@ class FiniteDifference:
 
 @dataclass(frozen=True)
 class CmaEs:
-    """CMA-ES, by the package `cma`, which `pip install 'gridpush-drake[baselines]'` installs.
+    """CMA-ES, by the package `cma`, which `pip install '.[baselines]'` installs.
 
     Attributes:
         std: the initial standard deviation.
