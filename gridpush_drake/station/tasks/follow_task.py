@@ -207,8 +207,8 @@ class FollowTask(StationTask[FollowRecord]):
             places = cls.list_places(resolved.obj, scenario)
         except PlanningError as error:
             return [*faults, str(error).replace("path", cls.path_field, 1)]
-        margins = {"edge_margin": EDGE_MARGIN, "obstacle_margin": OBSTACLE_MARGIN}
-        return faults + list_misplaced(places, resolved, **margins)
+        margins = PushConstraints(edge_margin=EDGE_MARGIN, obstacle_margin=OBSTACLE_MARGIN)
+        return faults + list_misplaced(places, resolved, margins)
 
     @classmethod
     def make_path(cls, obj: GridObject, scenario: PushScenario) -> PosePath | None:

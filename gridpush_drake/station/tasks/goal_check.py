@@ -6,6 +6,7 @@ come to it. Whether there is a way to the goal is known only on the way.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from shapely.geometry.base import BaseGeometry
@@ -53,14 +54,14 @@ def check_place(name: str, obj: GridObject, pose: Array, constraints: PushConstr
 
 
 def list_misplaced(
-    places: Mapping[str, Array], resolved: ResolvedScenario, **margins: float
+    places: Mapping[str, Array], resolved: ResolvedScenario, margins: PushConstraints
 ) -> list[str]:
     """Lists at which poses the object would hang over the table's edge, or touch an obstacle.
 
     Args:
         places: (3,) X_WB, m and rad, by the names of the scenario's fields.
         resolved: the scenario.
-        margins: `edge_margin` and `obstacle_margin` of `PushConstraints`, m.
+        margins: rules of which the margins from the table's edge and from obstacles hold here.
 
     Returns:
         A message for each; none with a camera, for that measures the outline, which is not known
@@ -68,8 +69,8 @@ def list_misplaced(
     """
     if resolved.scenario.camera.kind != "ideal":
         return []
-    constraints = PushConstraints(
-        surface=make_surface(resolved.table_top), obstacles=find_obstacles(resolved), **margins
+    constraints = replace(
+        margins, surface=make_surface(resolved.table_top), obstacles=find_obstacles(resolved)
     )
     faults = []
     for name, pose in places.items():

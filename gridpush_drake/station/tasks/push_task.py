@@ -158,7 +158,7 @@ class PushTask(StationTask[PushTaskRecord]):
         """Lists why the object may not lie at its goal; see `StationTask.list_faults`."""
         scenario = resolved.scenario
         goal = {scenario.names.name_field(0, "goal"): np.array(scenario.goal.pose)}
-        return list_misplaced(goal, resolved, edge_margin=EDGE_MARGIN)
+        return list_misplaced(goal, resolved, PushConstraints(edge_margin=EDGE_MARGIN))
 
     def make_record(self) -> PushTaskRecord:
         """Makes the empty record of a run."""
