@@ -8,8 +8,8 @@ import typer
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import count_noun, print_found, print_notice
 from gridpush_drake.files import write_together
-from gridpush_drake.identification.absolute.estimate import describe_weighed
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.statements import describe_weighed
 from gridpush_drake.multibody.mjcf import WriteMjcf
 from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
 from gridpush_drake.objects.object_file import speak_name

@@ -177,9 +177,6 @@ SEARCH_METHODS: dict[str, SearchMethod] = {
 }
 """Searches by the name that `identify` takes."""
 
-DEFAULT_BUDGET_PER_PUSH = 100
-"""Number of simulations of each training push where no budget is given."""
-
 
 def _draw_truncated_normal(rng: np.random.Generator, mean: Array, std: float) -> Array:
     """Draws normal numbers (d,) around a mean (d,), within 0 and 1.

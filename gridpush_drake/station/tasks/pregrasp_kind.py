@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from gridpush_drake.identification.absolute.estimate import (
     INTERVAL_SIGMAS,
     AbsoluteEstimate,
-    describe_sources,
 )
+from gridpush_drake.identification.statements import describe_sources
 from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.report.page import ReportSummary
