@@ -86,9 +86,6 @@ TASK_SENTENCES = {
 }
 """What the robot is to do, in words, by the campaign's task."""
 
-COMMON_FEATURES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
-"""Features that every dataset has."""
-
 
 @dataclass(frozen=True)
 class Exported:
