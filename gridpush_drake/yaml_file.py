@@ -301,19 +301,6 @@ def parse_yaml(
             loader.dispose()
 
 
-def check_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> None:
-    """Checks a document that somebody else will make values of.
-
-    The arguments and errors are those of `parse_yaml`.
-    """
-    with _explained(path, what, error), _collecting_later():
-        loader = _open(text, _StrictLoader)
-        try:
-            _compose(loader)
-        finally:
-            loader.dispose()
-
-
 def check_mapping(
     path: Path,
     data: dict[str, Any],

@@ -49,7 +49,6 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.report.table import (
     INTERVAL_CONFIDENCE,
     Column,
-    Interval,
     Mean,
     Table,
     calc_interval,
@@ -113,15 +112,15 @@ class PaperScore:
     error: float
 
 
-def summarize(scores: Sequence[PaperScore]) -> Interval:
-    """Calculates the mean error, m, and its interval.
+def summarize(scores: Sequence[PaperScore]) -> Mean:
+    """Calculates the mean error, mm, and its interval.
 
     The mean is of each mass set over the objects, then over the mass sets; the interval is over
     these.
     """
     sets = sorted({score.mass_set for score in scores})
     return calc_interval(
-        [float(np.mean([s.error for s in scores if s.mass_set == i])) for i in sets]
+        [float(np.mean([s.error for s in scores if s.mass_set == i])) for i in sets], MM_PER_M
     )
 
 
@@ -206,10 +205,7 @@ def mean_simulations(scores: Sequence[PaperScore]) -> int:
 def _average(scores: Sequence[PaperScore], **wanted: object) -> Mean | None:
     """Calculates the mean error of some scores, mm; None where there are none."""
     chosen = select(scores, **wanted)
-    if not chosen:
-        return None
-    mean, low, high = (MM_PER_M * value for value in summarize(chosen))
-    return Mean(mean) if np.isnan(low) else Mean(mean, low, high)
+    return summarize(chosen) if chosen else None
 
 
 def _notes(scores: Sequence[PaperScore]) -> list[str]:
@@ -464,8 +460,8 @@ def draw_panel(axis: Axes, scores: Sequence[PaperScore], methods: Sequence[str])
             # it simulates nothing, and is drawn across the whole panel
             spent = budgets
             style = {"color": "0.4", "linestyle": "--"}
-        mean, low, high = (
-            MM_PER_M * np.array([summarize(select(chosen, budget=budget)) for budget in budgets]).T
+        mean, low, high = np.transpose(
+            [summarize(select(chosen, budget=budget)).to_array() for budget in budgets]
         )
         axis.plot(
             spent,

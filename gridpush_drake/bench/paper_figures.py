@@ -366,7 +366,7 @@ def _draw_simulations(options: PaperFigureOptions, done: Done) -> Said:
     ax.legend(fontsize="small", ncols=2)
     _write(options, "simulations", figure)
     best = {
-        method: MM_PER_M * paper.summarize(paper.select(scores, method=method, budget=budget)).mean
+        method: paper.summarize(paper.select(scores, method=method, budget=budget)).mean
         for method in shown
     }
     said = ", ".join(f"{method.replace('_', ' ')} {error:.1f}" for method, error in best.items())
@@ -528,7 +528,7 @@ def _draw_bars(
     ax: Axes, i: int, count: int, samples: Sequence[Sequence[float]], label: str
 ) -> None:
     """Draws the i-th of `count` bars in each place: the mean of its sample, with its interval."""
-    mean, low, high = np.array([calc_interval(sample) for sample in samples]).T
+    mean, low, high = np.transpose([calc_interval(sample).to_array() for sample in samples])
     width = BAR_GROUP_FRACTION / count
     places = np.arange(len(mean)) + (i - (count - 1) / 2) * width
     spread = np.nan_to_num(np.maximum([mean - low, high - mean], 0.0))

@@ -60,7 +60,6 @@ SET_MODEL = "the set's own model"
 LCP_ENGINE = "ours"
 DRAKE_ENGINE = "Drake"
 MUJOCO_ENGINE = "MuJoCo"
-ENGINE_NAMES = (LCP_ENGINE, DRAKE_ENGINE, MUJOCO_ENGINE)
 """Names of the simulators."""
 
 TRAINING_PUSH_COUNTS = (5, 25)

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from gridpush_drake.display.shapes import ELLIPSE_SIGMAS, make_ellipse
 from gridpush_drake.errors import OutputError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.files import check_writable, write_whole
@@ -39,12 +40,6 @@ APPLICATION_NAME = "gridpush"
 TIMELINE_NAME = "time"
 """Name of the time in the viewer, s."""
 
-
-ELLIPSE_POINTS = 48
-"""Corners of the polygon that stands for an ellipse."""
-
-ELLIPSE_SIGMAS = 2.0
-"""Standard deviations out to which the ellipse reaches."""
 
 CELL_HEIGHT = 0.004
 """Height of the cells that are shown, m."""
@@ -156,7 +151,8 @@ class RerunScene:
             entity: the object; curves over time are drawn for the first one.
         """
         # Above the cells, which would hide it
-        ring = calc_ellipse(center, covariance)
+        ellipse = make_ellipse(ELLIPSE_SIGMAS**2 * covariance, center)
+        ring = np.array(ellipse.exterior.coords)
         self._draw_line(f"{entity}/center_of_mass", lift(ring, 2 * CELL_HEIGHT), CENTER_COLOR)
         if entity != "world/object":
             return
@@ -238,11 +234,3 @@ def lift(points: Array, height: float) -> Array:
     """Returns points (k, 2) as points (k, 3) at a height, m."""
     heights = np.full(len(points), height)
     return np.column_stack([points, heights])
-
-
-def calc_ellipse(center: Array, covariance: Array) -> Array:
-    """A closed polygon (k, 2) about a center (2,), at `ELLIPSE_SIGMAS` of a covariance (2, 2)."""
-    values, vectors = np.linalg.eigh(covariance)
-    angles = np.linspace(0.0, 2 * np.pi, ELLIPSE_POINTS + 1)
-    circle = np.column_stack([np.cos(angles), np.sin(angles)])
-    return center + ELLIPSE_SIGMAS * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

@@ -92,7 +92,7 @@ def make_disc(covariance: ArrayLike, center: ArrayLike, height: float) -> Trimes
         center: (2,) c, m.
         height: z of the ellipse, m.
     """
-    return _make_plate(_make_ellipse(covariance, center), height)
+    return _make_plate(make_ellipse(covariance, center), height)
 
 
 def make_ring(covariance: ArrayLike, center: ArrayLike, height: float, width: float) -> Trimesh:
@@ -104,8 +104,8 @@ def make_ring(covariance: ArrayLike, center: ArrayLike, height: float, width: fl
         height: z of the band, m.
         width: its width, m.
     """
-    outer = _make_ellipse(covariance, center, width)
-    inner = _make_ellipse(covariance, center)
+    outer = make_ellipse(covariance, center, width)
+    inner = make_ellipse(covariance, center)
     return _make_plate(outer.difference(inner), height)
 
 
@@ -149,7 +149,7 @@ def _drop_floor(mesh: Trimesh) -> Trimesh:
     return mesh
 
 
-def _make_ellipse(covariance: ArrayLike, center: ArrayLike, margin: float = 0.0) -> Polygon:
+def make_ellipse(covariance: ArrayLike, center: ArrayLike, margin: float = 0.0) -> Polygon:
     """Makes an ellipse whose half axes are the roots of a covariance's eigenvalues.
 
     Args:

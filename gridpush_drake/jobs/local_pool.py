@@ -2,8 +2,8 @@
 
 What a worker was doing that ended, or was killed, is done again by another one; a job that ends
 every worker is named, and the others are done. This pool is our own because the libraries that were
-tried cannot do all of that: loky gives up all jobs with the first worker that is killed, and leaves
-workers behind where the parent is killed; a LocalCluster of `distributed` cannot say what a worker
+tried cannot do all of that (CONTRIBUTING.md): in loky and Pebble the workers share a pipe, and one
+that is killed may take all jobs with it; a LocalCluster of `distributed` cannot say what a worker
 ended with, and would be needed by everybody who runs a bench.
 """
 
@@ -53,7 +53,7 @@ class LocalPool:
                 while waiting and len(busy) < self.workers:
                     connection = idle.pop() if idle else pool.start()
                     try:
-                        connection.send(waiting[0])
+                        connection.send(waiting[0][1])
                         busy[connection] = waiting.popleft()
                     except ConnectionError:
                         pool.drop(connection)
@@ -64,9 +64,10 @@ class LocalPool:
                 for connection in [each for each in list(busy) if each in ready]:
                     i, job = busy.pop(connection)
                     try:
-                        found = _receive(connection)
-                    except (EOFError, ConnectionError):
-                        # The worker has ended: its job is done again, unless it ends them all.
+                        result, error = connection.recv()
+                    except (EOFError, OSError):
+                        # The worker has ended, maybe in the middle of its answer: its job is done
+                        # again, unless it ends them all.
                         code = pool.drop(connection)
                         lost[i] += 1
                         if lost[i] < MAX_LOST:
@@ -74,18 +75,12 @@ class LocalPool:
                         else:
                             given_up.append(i)
                         continue
+                    if error is not None:
+                        raise error
                     idle.append(connection)
-                    yield found
+                    yield i, result
         if given_up:
             raise LostJobsError(given_up, f"exit code {code}")
-
-
-def _receive(connection: Connection) -> Any:
-    """Receives a job's number and its result. Raises what the job raised."""
-    i, result, error = connection.recv()
-    if error is not None:
-        raise error
-    return i, result
 
 
 @contextmanager
@@ -148,14 +143,14 @@ def _work(connection: Connection, function: Callable[[Any], Any]) -> None:
     Thread(target=_end_with_parent, daemon=True).start()
     while True:
         try:
-            i, job = connection.recv()
+            job = connection.recv()
         except EOFError:
             return
         try:
-            connection.send((i, function(job), None))
+            connection.send((function(job), None))
         except Exception as error:
             error.add_note(traceback.format_exc())
-            connection.send((i, None, error))
+            connection.send((None, error))
 
 
 def _end_with_parent() -> None:

@@ -5,11 +5,12 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from math import floor, isfinite, isnan, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rich.table
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from rich.cells import cell_len
 from rich.text import Text
 from scipy.stats import binomtest, bootstrap
@@ -38,6 +39,10 @@ class Mean:
     low: float | None = None
     high: float | None = None
     even: bool = False
+
+    def to_array(self) -> NDArray[np.float64]:
+        """Returns the mean and the interval's ends, (3,); NaN where there is no interval."""
+        return np.array([self.mean, self.low, self.high], dtype=np.float64)
 
     def describe(self) -> str:
         """Writes the mean, with its interval."""
@@ -237,25 +242,19 @@ BOOTSTRAP_SAMPLES = 9999
 """Number of bootstrap samples of an interval."""
 
 
-class Interval(NamedTuple):
-    """A mean and its confidence interval, at INTERVAL_CONFIDENCE.
+def calc_interval(values: Sequence[float], scale: float = 1.0) -> Mean:
+    """Calculates the mean of some values, and its interval at INTERVAL_CONFIDENCE.
 
-    Attributes:
-        mean: the mean.
-        low: the interval's lower end; NaN where one value does not give any.
-        high: its upper end.
+    Args:
+        values: one or more.
+        scale: what they are multiplied by.
+
+    Returns:
+        The mean, with a bootstrap interval by percentiles where some values differ.
     """
-
-    mean: float
-    low: float
-    high: float
-
-
-def calc_interval(values: Sequence[float]) -> Interval:
-    """Calculates the mean of one or more values, and its bootstrap interval by percentiles."""
-    sample = np.asarray(values, dtype=np.float64)
-    if len(sample) < 2:
-        return Interval(mean=float(sample.mean()), low=np.nan, high=np.nan)
+    sample = scale * np.asarray(values, dtype=np.float64)
+    if np.ptp(sample) == 0:
+        return Mean(float(sample.mean()))
     ends = bootstrap(
         (sample,),
         np.mean,
@@ -264,7 +263,7 @@ def calc_interval(values: Sequence[float]) -> Interval:
         method="percentile",
         random_state=np.random.default_rng(0),
     ).confidence_interval
-    return Interval(mean=float(sample.mean()), low=float(ends.low), high=float(ends.high))
+    return Mean(float(sample.mean()), float(ends.low), float(ends.high))
 
 
 @dataclass(frozen=True)

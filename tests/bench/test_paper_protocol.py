@@ -22,7 +22,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.jobs.run import Execution
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
-from gridpush_drake.report.table import calc_interval
+from gridpush_drake.report.table import Mean, calc_interval
 from tests.helpers.random_objects import make_random_object
 from tests.helpers.shared_data import shared_data
 
@@ -257,5 +257,4 @@ def test_interval():
     assert interval.high - interval.low == pytest.approx(
         2 * 1.96 * values.std() / np.sqrt(200), rel=0.05
     )
-    assert calc_interval([2.0]).mean == 2.0
-    assert np.isnan(calc_interval([2.0]).low)
+    assert calc_interval([0.002, 0.002], scale=1000.0) == Mean(2.0)

@@ -1,5 +1,7 @@
 """Drake's plant and the grid LCP agree on where a push ends."""
 
+from itertools import chain
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,8 @@ from gridpush_drake.bench.worlds.plant import (
     DEFAULT_OBJECTS,
     PlantJob,
     PlantWorld,
-    calc_scores,
     draw_push,
+    make_jobs,
     make_table,
     run_job,
 )
@@ -17,7 +19,6 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ObjectError, PushError
 from gridpush_drake.identification.model import Model
-from gridpush_drake.jobs.run import Execution
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 
@@ -87,7 +88,7 @@ def test_a_free_object_pushed_low_moves_as_the_model_has_it(obj, params):
 
 def test_tables_and_names():
     with pytest.raises(ObjectError, match="spanner"):
-        calc_scores(("spanner",), 1)
+        make_jobs(("spanner",), 1, ("planar",), 0)
     scores = run_job(PlantJob("toolbox", "planar", (4,)))
     table = make_table(scores)
     assert [row[:4] for row in table.rows] == [
@@ -99,8 +100,7 @@ def test_tables_and_names():
 
 @pytest.mark.slow
 def test_plant_and_model_agree():
-    scores = calc_scores(DEFAULT_OBJECTS, 3, ("planar",), seed=100, execution=Execution(workers=0))
-    for score in scores:
+    for score in chain(*map(run_job, make_jobs(DEFAULT_OBJECTS, 3, ("planar",), 100))):
         assert score.tracking_error < 2e-5
         assert score.position < MAX_POSITION, score
         assert score.angle < MAX_ANGLE, score
@@ -108,6 +108,6 @@ def test_plant_and_model_agree():
 
 @pytest.mark.slow
 def test_a_free_base_differs_by_the_loads_that_shift():
-    scores = calc_scores(("claw_hammer", "toolbox"), 3, ("free",), execution=Execution(workers=0))
+    scores = list(chain(*map(run_job, make_jobs(("claw_hammer", "toolbox"), 3, ("free",), 0))))
     assert max(score.position for score in scores) < 5e-3
     assert max(score.tilt for score in scores) < 1e-3

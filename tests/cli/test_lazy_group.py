@@ -15,7 +15,8 @@ try:
 except SystemExit:
     pass
 named = {{command.target.partition(":")[0] for command in main.COMMANDS.values()}}
-print("imported:", *sorted(named & set(sys.modules)))
+benches = {{name for name in sys.modules if name.startswith("gridpush_drake.cli.bench.")}}
+print("imported:", *sorted(named & set(sys.modules) | benches))
 """
 
 
@@ -36,17 +37,26 @@ def test_what_lists_the_commands_imports_none(args):
     assert run_and_list_imports(args)[1] == []
 
 
-def test_a_command_imports_itself_only():
-    shown, imported = run_and_list_imports(["show", "--help"])
-    assert "gridpush show" in shown
-    assert imported == ["gridpush_drake.cli.view.show"]
+@pytest.mark.parametrize(
+    ("args", "says", "module"),
+    [("show", "gridpush show", "view.show"), ("bench", "perception", "bench.group")],
+)
+def test_a_command_imports_itself_only(args, says, module):
+    shown, imported = run_and_list_imports([args, "--help"])
+    assert says in shown
+    assert imported == [f"gridpush_drake.cli.{module}"]
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_the_list_says_what_the_command_itself_says_first(name):
-    command = typer.main.get_command(app).get_command(None, name)
+@pytest.mark.parametrize(
+    ("path", "table", "name"),
+    [((), COMMANDS, name) for name in COMMANDS] + [(("bench",), BENCHES, name) for name in BENCHES],
+)
+def test_the_list_says_what_the_command_itself_says_first(path, table, name):
+    command = typer.main.get_command(app)
+    for word in (*path, name):
+        command = command.get_command(None, word)
     assert command.name == name
-    assert COMMANDS[name].help == (command.short_help or command.help).partition("\n\n")[0]
+    assert table[name].help == (command.short_help or command.help).partition("\n\n")[0]
 
 
 def test_the_list_is_the_same_once_all_are_imported():
@@ -55,32 +65,6 @@ def test_the_list_is_the_same_once_all_are_imported():
     for name in COMMANDS:
         group.get_command(None, name)
     assert group.get_help(group.make_context("gridpush", [], resilient_parsing=True)) == before
-
-
-def test_the_list_of_benches_imports_none():
-    script = (
-        "import sys\n"
-        "from gridpush_drake.cli.main import main\n"
-        "try:\n"
-        "    main(['bench', '--help'])\n"
-        "except SystemExit:\n"
-        "    pass\n"
-        "print('imported:', *[name for name in sys.modules if name.startswith('gridpush_drake.cli.bench.')])\n"
-    )
-    printed = subprocess.run(
-        [sys.executable, "-c", script], check=True, capture_output=True, text=True
-    ).stdout
-    shown, _, imported = printed.rpartition("imported:")
-    assert "perception" in shown
-    assert imported.split() == ["gridpush_drake.cli.bench.group"]
-
-
-@pytest.mark.parametrize("name", BENCHES)
-def test_the_list_says_what_the_bench_itself_says_first(name):
-    group = typer.main.get_command(app).get_command(None, "bench")
-    command = group.get_command(None, name)
-    assert command.name == name
-    assert BENCHES[name].help == (command.short_help or command.help).partition("\n\n")[0]
 
 
 def test_completion_in_the_shell_imports_no_command_to_list_them():

@@ -1,9 +1,7 @@
 """`--rerun`: a run as a file for the Rerun viewer."""
 
-import numpy as np
 import pytest
 
-from gridpush_drake.display.rerun_scene import ELLIPSE_SIGMAS, calc_ellipse
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.rerun_files import ENTITIES, print_rerun
 
@@ -13,13 +11,6 @@ object_pose: [0.55, 0.0, 0.0]
 base: planar
 pokes: {count: 1, test_count: 0, speed: 0.06}
 """
-
-
-def test_the_ellipse_is_that_of_the_covariance():
-    covariance = np.array([[4.0, 1.0], [1.0, 2.0]])
-    ring = calc_ellipse(np.array([1.0, -2.0]), covariance) - [1.0, -2.0]
-    distances = np.einsum("ki,ij,kj->k", ring, np.linalg.inv(covariance), ring)
-    np.testing.assert_allclose(distances, ELLIPSE_SIGMAS**2)
 
 
 def test_a_demo_is_written_for_the_viewer(capsys, tmp_path):

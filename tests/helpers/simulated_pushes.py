@@ -10,6 +10,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
+from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -97,9 +98,9 @@ def _try_push(
     )
     if obj.outline.distance(Point(p_BP)) < (1 - 1e-6) * radius:
         return None
-    direction = _rotate(turn + pose[2], -normal)
+    direction = rotate(turn + pose[2], -normal)
     push = Push(
-        pose[:2] + _rotate(pose[2], p_BP), style.speed * direction, length / style.speed, radius
+        pose[:2] + rotate(pose[2], p_BP), style.speed * direction, length / style.speed, radius
     )
     motion = simulate(Model(obj, truth), push, pose)
     moved = np.linalg.norm(obj.cells_at(motion.final_pose) - obj.cells_at(pose), axis=1).mean()
@@ -107,8 +108,3 @@ def _try_push(
         return None
     rows = np.rint(np.linspace(0, len(motion.times) - 1, style.samples + 1)).astype(int)[1:]
     return ObservedPush(name, push, pose, motion.times[rows], motion.poses[rows] + noise)
-
-
-def _rotate(angle: float, vector: np.ndarray) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])

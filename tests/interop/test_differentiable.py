@@ -12,12 +12,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.interop.differentiable import ARGUMENT_NAMES, PushFunction, PushSetting
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
-from tests.interop.push_functions import REGIMES, make_case
-
-
-@pytest.fixture(scope="module")
-def case():
-    return make_case()
+from tests.interop.push_functions import REGIMES
 
 
 def test_it_is_what_simulate_does(case):

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.interop.differentiable import ARGUMENT_NAMES, PushFunction
+from gridpush_drake.interop.differentiable import ARGUMENT_NAMES
 from tests.helpers.finite_difference import check_jacobian
-from tests.interop.push_functions import REGIMES, make_case
 
 jax = pytest.importorskip("jax", reason="jax is not installed")
 jax.config.update("jax_enable_x64", True)
@@ -14,23 +13,6 @@ jax.config.update("jax_enable_x64", True)
 from gridpush_drake.interop.jax import PushSetting, simulate  # noqa: E402
 
 EVERY = tuple(range(len(ARGUMENT_NAMES)))
-
-
-@pytest.fixture(scope="module")
-def case():
-    return make_case()
-
-
-@pytest.fixture(params=REGIMES)
-def function(case, request):
-    """Of the six arguments by position."""
-    setting = case.make_setting(request.param)
-
-    def run(*values):
-        return simulate(case.obj, setting, **dict(zip(ARGUMENT_NAMES, values, strict=True)))
-
-    run.expected = PushFunction(case.obj, setting)
-    return run
 
 
 def test_poses_and_both_jacobians_are_the_simulators(case, function):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.interop.differentiable import ARGUMENT_NAMES, PushFunction
-from tests.interop.push_functions import REGIMES, make_case
+from gridpush_drake.interop.differentiable import ARGUMENT_NAMES
 
 torch = pytest.importorskip("torch", reason="torch is not installed", exc_type=ImportError)
 
@@ -18,23 +17,6 @@ pytestmark = [
 ]
 
 EVERY = tuple(range(len(ARGUMENT_NAMES)))
-
-
-@pytest.fixture(scope="module")
-def case():
-    return make_case()
-
-
-@pytest.fixture(params=REGIMES)
-def function(case, request):
-    """Of the six arguments by position."""
-    setting = case.make_setting(request.param)
-
-    def run(*values):
-        return simulate(case.obj, setting, **dict(zip(ARGUMENT_NAMES, values, strict=True)))
-
-    run.expected = PushFunction(case.obj, setting)
-    return run
 
 
 def make_tensors(case, requires_grad=False):

@@ -12,10 +12,15 @@ import numpy as np
 import shapely
 
 from gridpush_drake.bench.truth.mujoco_world import (
-    BODY_HEIGHT,
     PUSHER_HALF_LENGTH,
     PUSHER_INERTIA,
     PUSHER_MASS,
+    calc_poses,
+    describe_feet,
+    describe_inertia,
+    describe_options,
+    describe_pairs,
+    set_springs,
 )
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import GRAVITY
@@ -23,16 +28,12 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.extras import import_extra
-from gridpush_drake.geometry.se2 import Array, calc_yaw, transform_shape
+from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.multibody.mjcf import (
-    FOOT_RADIUS,
     FOUNDATION_SINKAGE,
-    IMPEDANCE_RATIO,
-    SOLVER_TOLERANCE,
     TABLE_HALF,
     TIME_STEP,
-    calc_springs,
 )
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -163,16 +164,9 @@ def make_mujoco_scene(bodies: Bodies, poses: Array, push: Push) -> Callable[[Arr
     mujoco = import_extra("mujoco", "bench")
     model = mujoco.MjModel.from_xml_string(describe_scene(bodies, poses, push))
     data = mujoco.MjData(model)
-    # MuJoCo sorts the pairs, so that each must be found by its name.
-    places = {model.pair(i).name: i for i in range(model.npair)}
     for b, params in enumerate(bodies.parameters):
-        rows = [places[f"foot_{b}_{i}"] for i in range(params.n)]
-        load = params.mass * GRAVITY
         inverse = float(model.body_invweight0[b + 1, 0])
-        springs, slip, impedance = calc_springs(load, FOUNDATION_SINKAGE, inverse)
-        model.pair_solref[rows] = springs
-        model.pair_solreffriction[rows] = slip
-        model.pair_solimp[rows, :2] = impedance[:, None]
+        set_springs(model, f"foot{b}", params.mass * GRAVITY, FOUNDATION_SINKAGE, inverse)
     steps = round(push.duration / TIME_STEP)
     path = push.tip_at(np.arange(steps + 1) * TIME_STEP)
     speed = np.diff(path, axis=0) / TIME_STEP
@@ -185,7 +179,7 @@ def make_mujoco_scene(bodies: Bodies, poses: Array, push: Push) -> Callable[[Arr
         seen = []
         for i in range(steps + 1):
             for _ in range(np.count_nonzero(wanted == i)):
-                seen.append(_read_poses(data.qpos, len(bodies)))
+                seen.append(calc_poses(data.qpos[: 7 * len(bodies)].reshape(-1, 7)))
             if i < steps:
                 # the pusher goes its way, whatever is before it
                 data.qpos[place : place + 2] = path[i]
@@ -196,54 +190,34 @@ def make_mujoco_scene(bodies: Bodies, poses: Array, push: Push) -> Callable[[Arr
     return run
 
 
-def _read_poses(qpos: Array, n: int) -> Array:
-    """Reads the poses (n, 3) of the free bodies that come first in MuJoCo's positions."""
-    poses = []
-    for b in range(n):
-        x, y, _, *quaternion = qpos[7 * b : 7 * b + 7]
-        poses.append([x, y, calc_yaw(*quaternion)])
-    return np.array(poses)
-
-
 def describe_scene(objects: Bodies, poses: Array, push: Push) -> str:
     """Describes objects at poses (N, 3), m and rad, in MJCF.
 
     Feet touch the table alone, each with its cell's friction; walls the other walls and the pusher.
     """
+    give = f'solref="{2 * TIME_STEP} 1"'
     meshes = []
     bodies = []
     pairs = []
     for b, ((obj, params), pose) in enumerate(zip(objects, poses, strict=True)):
-        geoms = []
-        for i, ((x, y), mu) in enumerate(zip(obj.p_BC, params.friction, strict=True)):
-            geoms.append(
-                f'<geom name="f_{b}_{i}" type="sphere" size="{FOOT_RADIUS}" '
-                f'pos="{x} {y} {FOOT_RADIUS}"/>'
-            )
-            pairs.append(
-                f'<pair name="foot_{b}_{i}" geom1="table" geom2="f_{b}_{i}" condim="3" '
-                f'friction="{mu} {mu} 0 0 0"/>'
-            )
+        geoms = [describe_feet(obj.p_BC, name=f"f_{b}_")]
+        pairs.append(describe_pairs(f"foot{b}", "table", f"f_{b}_", params.friction))
         for i, triangle in enumerate(cut_outline(obj.outline)):
             corners = " ".join(f"{x} {y} {z}" for z in WALL_HEIGHTS for x, y in triangle)
             meshes.append(f'<mesh name="wall_{b}_{i}" vertex="{corners}" inertia="convex"/>')
             geoms.append(
                 f'<geom type="mesh" mesh="wall_{b}_{i}" contype="2" conaffinity="2" '
-                f'friction="{PAIR_FRICTION} 0 0"/>'
+                f'friction="{PAIR_FRICTION} 0 0" {give}/>'
             )
         c = np.cos(pose[2] / 2)
         s = np.sin(pose[2] / 2)
         bodies.append(
             f'<body pos="{pose[0]} {pose[1]} {-FOUNDATION_SINKAGE}" quat="{c} 0 0 {s}"><freejoint/>'
-            f"{_describe_inertia(obj, params)}{''.join(geoms)}</body>"
+            f"{describe_inertia(obj, params, WALL_HEIGHTS[1])}{''.join(geoms)}</body>"
         )
     return f"""
 <mujoco>
-  <compiler inertiafromgeom="false"/>
-  <option timestep="{TIME_STEP}" cone="elliptic" impratio="{IMPEDANCE_RATIO}"
-    tolerance="{SOLVER_TOLERANCE}"
-   gravity="0 0 {-GRAVITY}"/>
-  <default><geom contype="0" conaffinity="0" mass="0" solref="{2 * TIME_STEP} 1"/></default>
+  {describe_options(TIME_STEP)}
   <asset>{"".join(meshes)}</asset>
   <worldbody>
     <geom name="table" type="box" pos="0 0 -0.5" size="{TABLE_HALF} {TABLE_HALF} 0.5"/>
@@ -253,28 +227,11 @@ def describe_scene(objects: Bodies, poses: Array, push: Push) -> str:
       <joint type="slide" axis="1 0 0" armature="{PUSHER_INERTIA}"/>
       <joint type="slide" axis="0 1 0" armature="{PUSHER_INERTIA}"/>
       <geom type="cylinder" size="{push.radius} {PUSHER_HALF_LENGTH}" contype="2" conaffinity="0"
-       priority="1" friction="{PUSHER_FRICTION} 0 0"/>
+       priority="1" friction="{PUSHER_FRICTION} 0 0" {give}/>
     </body>
   </worldbody>
   <contact>{"".join(pairs)}</contact>
 </mujoco>"""
-
-
-def _describe_inertia(obj: GridObject, params: CellParameters) -> str:
-    """Describes mass, center of mass and inertia: each cell is a block of the body's height."""
-    mass = params.mass
-    x, y = params.center_of_mass(obj)
-    arm_x, arm_y = (obj.p_BC - (x, y)).T
-    cell = mass.sum() * obj.cell_size**2 / 12
-    flat = mass.sum() * BODY_HEIGHT**2 / 12 + cell
-    ixx = mass @ arm_y**2 + flat
-    iyy = mass @ arm_x**2 + flat
-    izz = mass @ (arm_x**2 + arm_y**2) + 2 * cell
-    ixy = -mass @ (arm_x * arm_y)
-    return (
-        f'<inertial pos="{x} {y} {WALL_HEIGHTS[1]}" mass="{mass.sum()}" '
-        f'fullinertia="{ixx} {iyy} {izz} {ixy} 0 0"/>'
-    )
 
 
 def cut_outline(outline: shapely.Polygon) -> list[Array]:

@@ -398,13 +398,13 @@ def _tabulate_part(part: str, outcomes: Sequence[SceneTaskOutcome]) -> Table:
             sum(each.reached for each in some), len(some)
         ).describe(),
         "fallen": lambda some: sum(each.fell for each in some),
-        "simulated, min": lambda some: _describe_mean(
-            [each.time / SECONDS_A_MINUTE for each in some]
+        "simulated, min": lambda some: calc_interval(
+            [each.time for each in some], 1 / SECONDS_A_MINUTE
         ),
         "90 %, min": lambda some: float(
             np.quantile([each.time / SECONDS_A_MINUTE for each in some], 0.9)
         ),
-        "pushes": lambda some: _describe_mean([float(each.pushes) for each in some]),
+        "pushes": lambda some: calc_interval([each.pushes for each in some]),
         "s a decision": lambda some: float(np.mean([each.decision for each in some])),
     }
     if part in (REARRANGE_PART, FINE_REARRANGE_PART):
@@ -430,14 +430,6 @@ def _tabulate_part(part: str, outcomes: Sequence[SceneTaskOutcome]) -> Table:
         if not each.reached
     ]
     return Table.of(PART_TITLES[part], ("objects",), groups, columns, notes)
-
-
-def _describe_mean(values: Sequence[float]) -> Mean:
-    """Makes a mean with its interval."""
-    interval = calc_interval(values)
-    if not np.isfinite(interval.low):
-        return Mean(interval.mean)
-    return Mean(interval.mean, interval.low, interval.high)
 
 
 def write_figure(path: Path, outcomes: Sequence[SceneTaskOutcome], force: bool) -> None:

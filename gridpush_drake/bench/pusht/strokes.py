@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import bootstrap
 
 from gridpush_drake.bench.data.protocol import hide_parts, know_friction
 from gridpush_drake.bench.study import JobKind
@@ -25,7 +24,7 @@ from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.loop_run import Learner
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.report.table import INTERVAL_CONFIDENCE, Mean, Proportion, Table, Value
+from gridpush_drake.report.table import Proportion, Table, Value, calc_interval
 from gridpush_drake.units import MM_PER_M
 
 LEARNED = "learned"
@@ -42,9 +41,6 @@ PLAYERS = (LEARNED, EVEN, TRUE)
 
 TOLERANCE = 0.001
 """Mean cell error, as it is seen, at which a player stops, m."""
-
-RESAMPLES = 2000
-"""Number of bootstrap samples of an interval."""
 
 
 @dataclass(frozen=True)
@@ -172,9 +168,9 @@ def tabulate_strokes(played: Sequence[StrokesPlayed]) -> Table:
                 len(own),
                 reached.describe(),
                 calc_interval([each.strokes for each in own]),
-                calc_interval([MM_PER_M * each.error for each in own]),
+                calc_interval([each.error for each in own], MM_PER_M),
                 calc_interval([each.coverage for each in own]),
-                calc_interval([MM_PER_M * each.prediction_error for each in own]),
+                calc_interval([each.prediction_error for each in own], MM_PER_M),
             ]
         )
     columns = (
@@ -193,28 +189,12 @@ def tabulate_strokes(played: Sequence[StrokesPlayed]) -> Table:
     ]
     pairs = _pair(played)
     if len(pairs) > 1:
-        gain = calc_interval([MM_PER_M * (even.error - learned.error) for learned, even in pairs])
+        gain = calc_interval([even.error - learned.error for learned, even in pairs], MM_PER_M)
         notes.append(
             f"Learned against even, episode by episode: {gain.describe()} mm of final cell error "
             "less."
         )
     return Table("PushT with a hidden load, in four strokes", columns, rows, notes)
-
-
-def calc_interval(values: Sequence[float]) -> Mean:
-    """Mean of values, with its bootstrap interval where there are several that differ."""
-    mean = float(np.mean(values))
-    if np.ptp(values) == 0:
-        return Mean(mean)
-    found = bootstrap(
-        (np.array(values),),
-        np.mean,
-        n_resamples=RESAMPLES,
-        confidence_level=INTERVAL_CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return Mean(mean, float(found.low), float(found.high))
 
 
 def _pair(

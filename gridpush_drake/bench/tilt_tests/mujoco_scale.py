@@ -28,13 +28,19 @@ from gridpush_drake.bench.truth.mujoco_world import (
     EDGE_TIME_STEP,
     PLATE_HALF,
     TruthBody,
+    calc_poses,
+    calc_tilts,
+    describe_feet,
     describe_inertia,
+    describe_options,
+    describe_pairs,
+    describe_plates,
     set_springs,
 )
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.extras import import_extra
-from gridpush_drake.geometry.se2 import Array, calc_yaw
-from gridpush_drake.multibody.mjcf import FOOT_RADIUS, IMPEDANCE_RATIO, SOLVER_TOLERANCE, TABLE_HALF
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.multibody.mjcf import TABLE_HALF
 from gridpush_drake.planning.weighing.press import (
     PressOptions,
     PressSample,
@@ -130,13 +136,11 @@ class MujocoScale:
 
     def read_pose(self) -> Array:
         """Reads where the body truly is, (3,) q_WB, m and rad; for judges only."""
-        q = self._data.qpos[BODY_ENTRIES]
-        return np.array([*q[:2], float(calc_yaw(*q[3:]))])
+        return calc_poses(self._data.qpos[None, BODY_ENTRIES])[0]
 
     def read_tilt(self) -> float:
         """Reads how far the body is truly tilted, rad; for judges only."""
-        _, x, y, _ = self._data.qpos[3:7]
-        return float(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
+        return float(calc_tilts(self._data.qpos[None, BODY_ENTRIES])[0])
 
     def press(self, target: PressTarget) -> TiltTestRun:
         """Presses where the robot wants to, and goes up again.
@@ -181,70 +185,51 @@ class MujocoScale:
 
 
 def _describe(body: TruthBody) -> str:
-    """Describes the scene in MJCF. All contacts are between pairs that are named."""
+    """Describes the scene in MJCF.
+
+    Feet f touch the table, plates p of the underside touch its rim, and plates t of the top the
+    tip.
+    """
+    obj = body.obj
+    friction = body.params.friction
     axes = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
     joints = "".join(f'<joint name="{n}" type="slide" axis="{axis}"/>' for n, axis in axes.items())
     motors = "".join(
         f'<position joint="{n}" kp="{FINGER_STIFFNESS}" kv="{FINGER_DAMPING}"/>' for n in axes
     )
+    geoms = (
+        describe_feet(body.feet, body.gap)
+        + describe_plates(obj, "p", body.bottom + PLATE_HALF)
+        + describe_plates(obj, "t", BODY_HEIGHT - PLATE_HALF)
+    )
+    pairs = (
+        describe_pairs("foot", "table", "f", friction[body.cell])
+        + describe_pairs("edge", "rim", "p", friction)
+        + describe_pairs("tip", "tip", "t", [TIP_FRICTION] * obj.n)
+    )
     return f"""
 <mujoco>
-  <compiler inertiafromgeom="false"/>
-  <option timestep="{EDGE_TIME_STEP}" cone="elliptic" impratio="{IMPEDANCE_RATIO}"
-   tolerance="{SOLVER_TOLERANCE}" gravity="0 0 {-GRAVITY}"/>
-  <default><geom contype="0" conaffinity="0" mass="0"/></default>
+  {describe_options(EDGE_TIME_STEP)}
   <worldbody>
     <geom name="table" type="box" pos="{-TABLE_HALF} 0 -0.5"
      size="{TABLE_HALF} {TABLE_HALF} 0.5"/>
     <geom name="rim" type="capsule" size="{EDGE_RADIUS}"
      fromto="0 {-TABLE_HALF} {-EDGE_RADIUS} 0 {TABLE_HALF} {-EDGE_RADIUS}"/>
-    <body><freejoint/>{describe_inertia(body)}{_describe_geoms(body)}</body>
+    <body><freejoint/>{describe_inertia(obj, body.params)}{geoms}</body>
     <body gravcomp="1">
       <inertial pos="0 0 0" mass="{FINGER_MASS}" diaginertia="1e-3 1e-3 1e-3"/>{joints}
       <geom name="tip" type="sphere" size="{TIP_RADIUS}"/>
     </body>
   </worldbody>
-  <contact>{_describe_pairs(body)}</contact>
+  <contact>{pairs}</contact>
   <actuator>{motors}</actuator>
 </mujoco>"""
-
-
-def _describe_geoms(body: TruthBody) -> str:
-    """Describes feet f, plates p of the underside, and plates t of the top."""
-    half = body.obj.cell_size / 2
-    feet = (
-        f'<geom name="f{i}" type="sphere" size="{FOOT_RADIUS}" pos="{x} {y} {FOOT_RADIUS + gap}"/>'
-        for i, ((x, y), gap) in enumerate(zip(body.feet, body.gap, strict=True))
-    )
-    plates = (
-        f'<geom name="{name}{i}" type="box" size="{half} {half} {PLATE_HALF}" pos="{x} {y} {z}"/>'
-        for name, z in (("p", body.bottom + PLATE_HALF), ("t", BODY_HEIGHT - PLATE_HALF))
-        for i, (x, y) in enumerate(body.obj.p_BC)
-    )
-    return "".join([*feet, *plates])
-
-
-def _describe_pairs(body: TruthBody) -> str:
-    """Describes which geoms touch: feet the table, the underside its rim, and the top the tip."""
-    friction = body.params.friction
-    feet = [("foot", "table", f"f{i}", mu) for i, mu in enumerate(friction[body.cell])]
-    rim = [("edge", "rim", f"p{i}", mu) for i, mu in enumerate(friction)]
-    tip = [("tip", "tip", f"t{i}", TIP_FRICTION) for i in range(len(friction))]
-    return "".join(
-        f'<pair name="{kind}_{b}" geom1="{a}" geom2="{b}" condim="3" friction="{mu} {mu} 0 0 0"/>'
-        for kind, a, b, mu in (*feet, *rim, *tip)
-    )
 
 
 def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
     """Gives feet, rim and tip their stiffness."""
     weight = np.array([body.params.total_mass * GRAVITY])
     own, finger = (float(value) for value in model.body_invweight0[1:, 0])
-    # MuJoCo sorts the pairs, so that each must be found by its name.
-    names = [model.pair(i).name for i in range(model.npair)]
-    feet = [names.index(f"foot_f{i}") for i in range(len(body.load))]
-    rim = [i for i, name in enumerate(names) if name.startswith("edge")]
-    tip = [i for i, name in enumerate(names) if name.startswith("tip")]
-    set_springs(model, feet, body.load, body.sinkage, own)
-    set_springs(model, rim, weight / EDGE_BEARING, body.sinkage, own)
-    set_springs(model, tip, weight, TIP_SINKAGE, own + finger)
+    set_springs(model, "foot", body.load, body.sinkage, own)
+    set_springs(model, "edge", weight / EDGE_BEARING, body.sinkage, own)
+    set_springs(model, "tip", weight, TIP_SINKAGE, own + finger)

@@ -37,7 +37,6 @@ from gridpush_drake.planning.weighing.press import PressOutcome, PressTarget
 from gridpush_drake.planning.world import FALLEN_TILT
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import MassTestLog, TiltTest
-from gridpush_drake.units import MM_PER_M
 
 TABLE_BOUNDS = ((0.0, 0.0), (0.8, 0.8))
 """Middle and sides of the table, m."""
@@ -235,12 +234,3 @@ def make_press(
     edge = compose(X_WE, np.array([*(press.edge_point - shift[:2]), 0.0]))[:2]
     planned = replace(press, pose=seen, place=back, edge_point=edge, edge_angle=target.edge_angle)
     return planned, made
-
-
-def describe_error(found: Identification, truth: CellParameters) -> str:
-    """Says how far mass and center of mass are off, in words."""
-    if found.absolute is None:
-        return "not weighed"
-    mass = found.absolute.total_mass / truth.total_mass - 1
-    center = found.absolute.center_of_mass - truth.center_of_mass(found.obj)
-    return f"mass off by {100 * mass:.1f} %, center by {MM_PER_M * np.linalg.norm(center):.1f} mm"

@@ -445,10 +445,9 @@ def tabulate_difference(scores: Sequence[TruthScore]) -> Table:
             for (name, seed, chosen), value in error.items()
             if chosen == DESIGNED_CHOICE
         ]
-        gain = calc_interval(less)
+        gain = calc_interval(less, MM_PER_M)
         better = PERCENT_PER_ONE * float(np.mean([value > 0 for value in less]))
-        figures = [MM_PER_M * value for value in (gain.mean, gain.low, gain.high)]
-        rows.append([kind, pushes, len(less), *figures, better])
+        rows.append([kind, pushes, len(less), gain.mean, gain.low, gain.high, better])
     notes = (
         "Less: by how much the held-out error after pushes by design is less than after random "
         "pushes of the same body,",
@@ -461,11 +460,8 @@ def tabulate_difference(scores: Sequence[TruthScore]) -> Table:
 
 def _sum_up(scores: Sequence[TruthScore]) -> list[Value]:
     """Makes the figures of a row of the table."""
-    error = calc_interval([score.error for score in scores])
-    row: list[Value] = [
-        len(scores),
-        *(MM_PER_M * value for value in (error.mean, error.low, error.high)),
-    ]
+    error = calc_interval([score.error for score in scores], MM_PER_M)
+    row: list[Value] = [len(scores), error.mean, error.low, error.high]
     row.append(MM_PER_M * float(np.mean([score.center_error for score in scores])))
     covered = [score.covered for score in scores if score.covered is not None]
     if not covered:

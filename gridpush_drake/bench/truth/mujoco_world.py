@@ -19,6 +19,7 @@ The bodies themselves are drawn in `bench.truth.sets`. How MuJoCo's contacts are
 `multibody.mjcf`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 from typing import TYPE_CHECKING
@@ -292,9 +293,9 @@ class MujocoWorld(TrackedWorld):
                 self._data.qpos[7:9] = path[i]
                 self._data.qvel[6:8] = speed[i]
                 self._step()
-        poses = _calc_poses(seen)
+        poses = calc_poses(seen)
         poses[:, 2] = np.unwrap(poses[:, 2])
-        tilt = _calc_tilts(seen)
+        tilt = calc_tilts(seen)
         return WorldMotion(
             times=times, poses=poses, fell=bool((tilt >= FALLEN_TILT).any()), tilt=tilt
         )
@@ -383,22 +384,22 @@ class MujocoWorld(TrackedWorld):
 
     def _read_pose(self, near: float | None = None) -> Array:
         """Reads q of B in W (3,), m and rad; its angle is the one nearest to `near`, if given."""
-        pose = _calc_poses(self._data.qpos[None, :7])[0]
+        pose = calc_poses(self._data.qpos[None, :7])[0]
         if near is not None:
             pose[2] = np.unwrap([near, pose[2]])[1]
         return pose
 
     def _read_tilt(self) -> float:
         """Reads the angle of B's z axis from the vertical, rad."""
-        return float(_calc_tilts(self._data.qpos[None, :7])[0])
+        return float(calc_tilts(self._data.qpos[None, :7])[0])
 
 
-def _calc_poses(positions: Array) -> Array:
+def calc_poses(positions: Array) -> Array:
     """Calculates q of B in W (K, 3), m and rad, from positions and quaternions (K, 7)."""
     return np.column_stack([positions[:, :2], calc_yaw(*positions[:, 3:].T)])
 
 
-def _calc_tilts(positions: Array) -> Array:
+def calc_tilts(positions: Array) -> Array:
     """Calculates B's angles from the vertical (K,), rad, from positions and quaternions (K, 7)."""
     _, x, y, _ = positions[:, 3:].T
     return np.asarray(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
@@ -407,25 +408,33 @@ def _calc_tilts(positions: Array) -> Array:
 def _describe(body: TruthBody, radius: float, table: Bounds, edges: list[Edge]) -> str:
     """Describes the scene in MJCF, with some of the table's edges.
 
-    No geoms collide by themselves: all contacts are between pairs that are named.
+    No geoms collide by themselves. Feet f touch the table, the pusher touches walls w, and plates p
+    touch the table's edges.
     """
     left, low, right, high = table
+    obj = body.obj
+    params = body.params
     rims = "".join(
         f'<geom name="e{i}" type="capsule" size="{EDGE_RADIUS}" '
         f'fromto="{a[0]} {a[1]} {-EDGE_RADIUS} {b[0]} {b[1]} {-EDGE_RADIUS}"/>'
         for i, (a, b) in enumerate(edges)
     )
+    geoms = (
+        describe_feet(body.feet, body.gap)
+        + _describe_walls(body)
+        + describe_plates(obj, "p", body.bottom + PLATE_HALF)
+    )
+    pairs = describe_pairs("foot", "table", "f", params.friction[body.cell])
+    pairs += describe_pairs("wall", "pusher", "w", [params.contact_friction] * len(obj.edges.start))
+    for i in range(len(edges)):
+        pairs += describe_pairs("edge", f"e{i}", "p", params.friction)
     return f"""
 <mujoco>
-  <compiler inertiafromgeom="false"/>
-  <option timestep="{body.time_step}" cone="elliptic" impratio="{IMPEDANCE_RATIO}"
-    tolerance="{SOLVER_TOLERANCE}"
-   gravity="0 0 {-GRAVITY}"/>
-  <default><geom contype="0" conaffinity="0" mass="0"/></default>
+  {describe_options(body.time_step)}
   <worldbody>
     <geom name="table" type="box" pos="{(left + right) / 2} {(low + high) / 2} -0.5"
      size="{(right - left) / 2} {(high - low) / 2} 0.5"/>{rims}
-    <body><freejoint/>{describe_inertia(body)}{_describe_geoms(body)}</body>
+    <body><freejoint/>{describe_inertia(obj, params)}{geoms}</body>
     <body gravcomp="1">
       <inertial pos="0 0 0" mass="{PUSHER_MASS}" diaginertia="1 1 1"/>
       <joint type="slide" axis="1 0 0" armature="{PUSHER_INERTIA}"/>
@@ -434,7 +443,7 @@ def _describe(body: TruthBody, radius: float, table: Bounds, edges: list[Edge]) 
       <geom name="pusher" type="capsule" size="{radius - WALL_RADIUS} {PUSHER_HALF_LENGTH}"/>
     </body>
   </worldbody>
-  <contact>{_describe_pairs(body, len(edges))}</contact>
+  <contact>{pairs}</contact>
 </mujoco>"""
 
 
@@ -446,63 +455,80 @@ def _find_edges(table: Bounds) -> list[Edge]:
     return [(a, b) for a, b in sides if max(abs(a[0] + b[0]), abs(a[1] + b[1])) < 2 * TABLE_HALF]
 
 
-def describe_inertia(body: TruthBody) -> str:
-    """Describes mass, center of mass and inertia: each cell is a block of the body's height."""
-    mass = body.params.mass
-    x, y = body.params.center_of_mass(body.obj)
-    arm_x, arm_y = (body.obj.p_BC - (x, y)).T
-    cell = mass.sum() * body.obj.cell_size**2 / 12
+def describe_inertia(obj: GridObject, params: CellParameters, z: float = BODY_HEIGHT / 2) -> str:
+    """Describes mass, center of mass and inertia: each cell is a block of the body's height.
+
+    Args:
+        obj: the object.
+        params: masses of its cells.
+        z: height of the center of mass, m.
+    """
+    mass = params.mass
+    x, y = params.center_of_mass(obj)
+    arm_x, arm_y = (obj.p_BC - (x, y)).T
+    cell = mass.sum() * obj.cell_size**2 / 12
     flat = mass.sum() * BODY_HEIGHT**2 / 12 + cell
     ixx = mass @ arm_y**2 + flat
     iyy = mass @ arm_x**2 + flat
     ixy = -mass @ (arm_x * arm_y)
     izz = mass @ (arm_x**2 + arm_y**2) + 2 * cell
     return (
-        f'<inertial pos="{x} {y} {BODY_HEIGHT / 2}" mass="{mass.sum()}" '
+        f'<inertial pos="{x} {y} {z}" mass="{mass.sum()}" '
         f'fullinertia="{ixx} {iyy} {izz} {ixy} 0 0"/>'
     )
 
 
-def _describe_geoms(body: TruthBody) -> str:
-    """Describes feet f, walls w along the outline at the pusher's height, and plates p below."""
-    z = body.push_height
-    half = body.obj.cell_size / 2
-    edges = body.obj.edges
-    feet = (
-        f'<geom name="f{i}" type="sphere" size="{FOOT_RADIUS}" pos="{x} {y} {FOOT_RADIUS + gap}"/>'
-        for i, ((x, y), gap) in enumerate(zip(body.feet, body.gap, strict=True))
+def describe_options(time_step: float) -> str:
+    """Describes how a scene is stepped, with geoms that do not collide by themselves."""
+    return (
+        '<compiler inertiafromgeom="false"/>'
+        f'<option timestep="{time_step}" cone="elliptic" impratio="{IMPEDANCE_RATIO}" '
+        f'tolerance="{SOLVER_TOLERANCE}" gravity="0 0 {-GRAVITY}"/>'
+        '<default><geom contype="0" conaffinity="0" mass="0"/></default>'
     )
-    walls = (
+
+
+def describe_feet(places: Array, gaps: ArrayLike = 0.0, name: str = "f") -> str:
+    """Describes the spheres that stand on the table.
+
+    Args:
+        places: (F, 2) where they are, body frame, m.
+        gaps: (F,) how much shorter a foot is than the longest one, m.
+        name: what their names begin with; numbers follow.
+    """
+    heights = FOOT_RADIUS + np.broadcast_to(gaps, len(places))
+    return "".join(
+        f'<geom name="{name}{i}" type="sphere" size="{FOOT_RADIUS}" pos="{x} {y} {z}"/>'
+        for i, ((x, y), z) in enumerate(zip(places, heights, strict=True))
+    )
+
+
+def describe_plates(obj: GridObject, name: str, z: float) -> str:
+    """Describes a plate for each cell, whose middle is at a height z, m."""
+    half = obj.cell_size / 2
+    return "".join(
+        f'<geom name="{name}{i}" type="box" size="{half} {half} {PLATE_HALF}" pos="{x} {y} {z}"/>'
+        for i, (x, y) in enumerate(obj.p_BC)
+    )
+
+
+def describe_pairs(kind: str, geom: str, others: str, frictions: Sequence[float] | Array) -> str:
+    """Describes contacts of a geom with others of numbered names, each with its friction."""
+    return "".join(
+        f'<pair name="{kind}_{geom}_{others}{i}" geom1="{geom}" geom2="{others}{i}" condim="3" '
+        f'friction="{mu} {mu} 0 0 0"/>'
+        for i, mu in enumerate(frictions)
+    )
+
+
+def _describe_walls(body: TruthBody) -> str:
+    """Describes walls w along the outline at the pusher's height."""
+    z = body.push_height
+    edges = body.obj.edges
+    return "".join(
         f'<geom name="w{i}" type="capsule" size="{WALL_RADIUS}" '
         f'fromto="{a[0]} {a[1]} {z} {b[0]} {b[1]} {z}"/>'
         for i, (a, b) in enumerate(zip(edges.start, edges.end, strict=True))
-    )
-    plates = (
-        f'<geom name="p{i}" type="box" size="{half} {half} {PLATE_HALF}" '
-        f'pos="{x} {y} {body.bottom + PLATE_HALF}"/>'
-        for i, (x, y) in enumerate(body.obj.p_BC)
-    )
-    return "".join([*feet, *walls, *plates])
-
-
-def _describe_pairs(body: TruthBody, edges: int) -> str:
-    """Describes which geoms touch, and with what friction.
-
-    Feet touch the table, the pusher touches walls, and plates touch the table's edges.
-    """
-    params = body.params
-    feet = [("foot", "table", f"f{i}", mu) for i, mu in enumerate(params.friction[body.cell])]
-    walls = [
-        ("wall", "pusher", f"w{i}", params.contact_friction)
-        for i in range(len(body.obj.edges.start))
-    ]
-    rims = [
-        ("edge", f"e{e}", f"p{i}", mu) for e in range(edges) for i, mu in enumerate(params.friction)
-    ]
-    return "".join(
-        f'<pair name="{kind}_{a}_{b}" geom1="{a}" geom2="{b}" condim="3" '
-        f'friction="{mu} {mu} 0 0 0"/>'
-        for kind, a, b, mu in (*feet, *walls, *rims)
     )
 
 
@@ -510,20 +536,29 @@ def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
     """Gives feet, walls and edges their stiffness."""
     weight = np.array([body.params.total_mass * GRAVITY])
     foot, pusher = (float(value) for value in model.body_invweight0[1:, 0])
-    # MuJoCo sorts the pairs, so that each must be found by its name.
-    names = [model.pair(i).name for i in range(model.npair)]
-    feet = [names.index(f"foot_table_f{i}") for i in range(len(body.load))]
-    walls = [i for i, name in enumerate(names) if name.startswith("wall")]
-    edges = [i for i, name in enumerate(names) if name.startswith("edge")]
-    set_springs(model, feet, body.load, body.sinkage, foot)
-    set_springs(model, walls, weight, PUSHER_SINKAGE, foot + pusher)
-    set_springs(model, edges, weight / EDGE_BEARING, body.sinkage, foot)
+    set_springs(model, "foot", body.load, body.sinkage, foot)
+    set_springs(model, "wall", weight, PUSHER_SINKAGE, foot + pusher)
+    set_springs(model, "edge", weight / EDGE_BEARING, body.sinkage, foot)
 
 
 def set_springs(
-    model: "mujoco.MjModel", rows: list[int], load: Array, sinkage: float, inverse: float
+    model: "mujoco.MjModel", kind: str, load: Array, sinkage: float, inverse: float
 ) -> None:
-    """Lets pairs of geoms give way by `sinkage` (m) under a load (N); see `calc_springs`."""
+    """Lets pairs of geoms give way under loads; see `calc_springs`.
+
+    Args:
+        model: the model.
+        kind: kind of the pairs, see `describe_pairs`.
+        load: (K,) load of each pair, in the order of their geoms, or (1,) of all, N.
+        sinkage: how far they give way, m.
+        inverse: see `calc_springs`.
+    """
+    # MuJoCo sorts the pairs; one geom of each comes in the order in which they were described.
+    names = [model.pair(i).name for i in range(model.npair)]
+    rows = sorted(
+        (i for i, name in enumerate(names) if name.startswith(f"{kind}_")),
+        key=lambda i: max(model.pair_geom1[i], model.pair_geom2[i]),
+    )
     springs, slip, impedance = calc_springs(load, sinkage, inverse)
     model.pair_solref[rows] = springs
     model.pair_solreffriction[rows] = slip

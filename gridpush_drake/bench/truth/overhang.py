@@ -35,8 +35,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import FALLEN_TILT, PushWorld, WorldMotion
-from gridpush_drake.report.table import Column, Interval, Table, by_object, calc_interval, count_of
-from gridpush_drake.units import MM_PER_M
+from gridpush_drake.report.table import Column, Mean, Table, by_object, calc_interval, count_of
+from gridpush_drake.units import DEG_PER_RAD, MM_PER_M
 
 WorldName = Literal["mujoco", "drake"]
 """Name of a world that the model is compared with."""
@@ -424,10 +424,10 @@ def tabulate_pushes(scores: Sequence[OverhangScore]) -> Table:
         "pushes": len,
         "over, %": lambda some: 100 * float(np.mean([score.fraction for score in some])),
         "moved, mm": lambda some: MM_PER_M * float(np.mean([score.moved for score in some])),
-        "mean, mm": lambda some: MM_PER_M * _calc_interval(some, "position").mean,
-        "to": lambda some: MM_PER_M * _calc_interval(some, "position").high,
-        "mean, °": lambda some: float(np.degrees(_calc_interval(some, "angle").mean)),
-        "to, °": lambda some: float(np.degrees(_calc_interval(some, "angle").high)),
+        "mean, mm": lambda some: _calc_interval(some, "position", MM_PER_M).mean,
+        "to": lambda some: _calc_interval(some, "position", MM_PER_M).high,
+        "mean, °": lambda some: _calc_interval(some, "angle", DEG_PER_RAD).mean,
+        "to, °": lambda some: _calc_interval(some, "angle", DEG_PER_RAD).high,
         "endless, mm": lambda some: MM_PER_M * float(np.mean([score.endless for score in some])),
         "tips": count_of("tips", True),
     }
@@ -463,9 +463,9 @@ def _group_by_name(scores: Sequence[Any], *keys: str) -> list[tuple[tuple[str, .
     return by_object(scores, list(dict.fromkeys(score.name for score in scores)), *keys)
 
 
-def _calc_interval(scores: Sequence[OverhangScore], field: str) -> Interval:
-    """Calculates the mean of a field and its interval."""
-    return calc_interval([getattr(score, field) for score in scores])
+def _calc_interval(scores: Sequence[OverhangScore], field: str, scale: float) -> Mean:
+    """Calculates the mean of a field and its interval, times `scale`."""
+    return calc_interval([getattr(score, field) for score in scores], scale)
 
 
 OVERHANG_JOBS = JobKind(

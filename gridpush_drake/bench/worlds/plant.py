@@ -40,7 +40,6 @@ from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error
-from gridpush_drake.jobs.run import QUIET_EXECUTION, Execution, run_jobs
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
 from gridpush_drake.multibody.grid_object import AddGridObject, Base
 from gridpush_drake.multibody.ground_truth import (
@@ -181,20 +180,6 @@ def make_jobs(
         find_shipped_object(name)
     seeds = tuple(range(seed, seed + pushes))
     return [PlantJob(name, base, seeds) for base in bases for name in objects]
-
-
-def calc_scores(
-    objects: Sequence[str] = DEFAULT_OBJECTS,
-    pushes: int = PUSH_COUNT,
-    bases: Sequence[Base] = BASE_KINDS,
-    *,
-    seed: int = 0,
-    execution: Execution = QUIET_EXECUTION,
-) -> list[PlantScore]:
-    """Compares plant and model, push by push, for each spin model; see `make_jobs`."""
-    jobs = make_jobs(objects, pushes, bases, seed)
-    results = run_jobs(PLANT_JOBS.run, jobs, PLANT_JOBS.describe, execution)
-    return [score for result in results for score in result]
 
 
 def run_job(job: PlantJob) -> list[PlantScore]:

@@ -5,7 +5,6 @@ Its options are the fields of the study's own options, and those that all studie
 
 from collections.abc import Sequence
 from dataclasses import Field, fields
-from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -14,6 +13,7 @@ import typer
 from gridpush_drake.bench.study import Study
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import print_json, print_table, to_json, work_progress
+from gridpush_drake.cli.shell.lazy_group import declare
 from gridpush_drake.files import write_whole
 from gridpush_drake.jobs.results import open_results
 from gridpush_drake.jobs.run import Execution
@@ -89,15 +89,7 @@ def make_command(study: Study[Any]) -> Any:
                 )
         show_tables(tables, out, chosen.force, json)
 
-    parameters = [
-        Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        for name, (annotation, default) in known.items()
-    ]
-    command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
-    command.__doc__ = study.help
-    command.__name__ = study.name
-    return command
+    return declare(command, known, study.help)
 
 
 def describe_settings(study: Study[Any], given: dict[str, Any]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ so that a new importer needs nothing here.
 """
 
 import dataclasses
-from inspect import Parameter, Signature
+from inspect import Parameter
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import count_noun, print_found
-from gridpush_drake.cli.shell.lazy_group import refuse_unknown
+from gridpush_drake.cli.shell.lazy_group import declare, make_single, refuse_unknown
 from gridpush_drake.errors import OutputError
 from gridpush_drake.files import exists, make_folder
 from gridpush_drake.objects.grid_object import GridObject
@@ -38,11 +38,15 @@ OutObject = Annotated[
     typer.Option(metavar="OBJECT.yaml", help="The object file to write, without --out-dir."),
 ]
 
-OUTPUT_OPTIONS = {"out_dir": OutDir, "out_csv": OutCsv, "out_object": OutObject}
-"""Options of every importer that say what to write."""
+OUTPUT_OPTIONS = {
+    "out_dir": (OutDir, None),
+    "out_csv": (OutCsv, None),
+    "out_object": (OutObject, None),
+}
+"""Annotations and defaults of the options of every importer that say what to write."""
 
-FLAG_OPTIONS = {"force": options.Force, "json": options.Json}
-"""Other options of every importer."""
+FLAG_OPTIONS = {"force": (options.Force, False), "json": (options.Json, False)}
+"""Annotations and defaults of the other options of every importer."""
 
 
 class ImporterGroup(TyperGroup):
@@ -72,11 +76,7 @@ app = typer.Typer(
 
 
 def _make_command(name: str, importer: type[Importer]) -> Any:
-    """Makes the command of an importer.
-
-    Typer reads the options of a command from the signature of a function. Here they are not known
-    before the importer is, so the signature is put together from the importer's fields.
-    """
+    """Makes the command of an importer, whose options are the importer's fields."""
     types = get_type_hints(importer)
     fields = {field.name: field for field in dataclasses.fields(importer)}  # type: ignore[arg-type]
 
@@ -112,26 +112,14 @@ def _make_command(name: str, importer: type[Importer]) -> Any:
     file = Annotated[
         Path, typer.Argument(metavar=importer.file, help=f"The file to convert: {importer.source}.")
     ]
-    parameters = [Parameter("file", Parameter.POSITIONAL_OR_KEYWORD, annotation=file)]
-    annotations = (
-        OUTPUT_OPTIONS
-        | {key: _describe_option(field, types[key]) for key, field in fields.items()}
-        | FLAG_OPTIONS
-    )
-    defaults = dict.fromkeys(OUTPUT_OPTIONS) | {key: field.default for key, field in fields.items()}
-    for key, annotation in annotations.items():
-        default = defaults.get(key, False)
-        parameters.append(
-            Parameter(key, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        )
-    run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    single = typer.Typer(add_completion=False)
+    own = {
+        key: (_describe_option(field, types[key]), field.default) for key, field in fields.items()
+    }
+    shown = {"file": (file, Parameter.empty)} | OUTPUT_OPTIONS | own | FLAG_OPTIONS
     summary = (importer.__doc__ or "").partition("\n")[0]
     further = getattr(importer, "example", "")
     example = f"Example: gridpush import {name} {importer.file} {further} --out-dir FOLDER"
-    single.command(name, help=f"{summary}\n\n{' '.join(example.split())}")(run)
-    return typer.main.get_command(single)
+    return make_single(name, declare(run, shown, f"{summary}\n\n{example}"))
 
 
 def _describe_option(field: dataclasses.Field[Any], kind: Any) -> Any:

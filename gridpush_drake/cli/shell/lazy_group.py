@@ -10,6 +10,7 @@ import inspect
 from collections.abc import Mapping
 from copy import copy
 from difflib import get_close_matches
+from inspect import Parameter, Signature
 from pkgutil import resolve_name
 from typing import Any, ClassVar, NamedTuple
 
@@ -134,6 +135,27 @@ def load_command(name: str, target: str) -> Any:
         command = make_single(name, found)
     command.name = name
     return command
+
+
+def declare(function: Any, options: Mapping[str, tuple[Any, Any]], help_text: str) -> Any:
+    """Declares the options of a function that takes any, as Typer reads them from its signature.
+
+    Args:
+        function: is called with all options by name.
+        options: the annotation and the default of each; `Parameter.empty` where it must be given.
+        help_text: the command's help.
+
+    Returns:
+        The function.
+    """
+    parameters = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        for name, (annotation, default) in options.items()
+    ]
+    function.__signature__ = Signature(parameters)
+    function.__annotations__ = {each.name: each.annotation for each in parameters}
+    function.__doc__ = help_text
+    return function
 
 
 def make_single(name: str, function: Any) -> Any:

@@ -331,7 +331,7 @@ def score_pixels(
         score = score + says
 
     # Neighbors decide together. Narrow gaps are closed unless the table shows through them.
-    smooth = _blur(score, SCORE_SMOOTHING)
+    smooth = blur(score, SCORE_SMOOTHING)
     mask = remove_thin(smooth > 0)
     closed = _morph(mask, cv2.MORPH_CLOSE, CLOSING_SIZE)
     mask = fill_holes(closed & (smooth >= HOLE_SCORE), smooth)
@@ -393,7 +393,7 @@ def refine_boundary(
         The mask, and (height, width) how much of each pixel is object, 0 to 1.
     """
     if not found.difference.any():
-        return mask, _blur(mask, BOUNDARY_SMOOTHING)
+        return mask, blur(mask, BOUNDARY_SMOOTHING)
     # Lightness counts less than chroma: a shadow must not move the boundary.
     colors = found.difference * np.array([LIGHT_WEIGHT, 1, 1], dtype=np.float32)
     shown = np.ones_like(mask)
@@ -405,8 +405,8 @@ def refine_boundary(
         certain_object = _erode(mask, MEAN_GAP) & shown
         certain_table = ~dilate(mask, MEAN_GAP) & shown
         inside, outside = sum_blocks(colors, certain_object, certain_table)
-        inside = _blur(inside, INSIDE_RADIUS / BLOCK_SIZE)
-        outside = _blur(outside, OUTSIDE_RADIUS / BLOCK_SIZE)
+        inside = blur(inside, INSIDE_RADIUS / BLOCK_SIZE)
+        outside = blur(outside, OUTSIDE_RADIUS / BLOCK_SIZE)
 
         # How far each color is on the way from c_t to c_o; the boundary is at level 0. Far from the
         # boundary before, nothing changes sides.
@@ -415,7 +415,7 @@ def refine_boundary(
         about = cv2.dilate(band.view(np.uint8), BLUR_KERNEL)
         along = np.zeros(mask.shape, dtype=np.float32)
         calc_levels(colors, inside, outside, about, COLOR_LEVEL, along)
-        level = _blur(along + found.heights, BOUNDARY_SMOOTHING)
+        level = blur(along + found.heights, BOUNDARY_SMOOTHING)
         sides = np.where(mask, np.float32(1), np.float32(-1))
         level = np.where(band, level, sides)
         mask = level > 0
@@ -494,7 +494,7 @@ def _make_rim(shape: tuple[int, ...]) -> Mask:
     return rim
 
 
-def _blur(image: NDArray[Any], deviation: float) -> Image:
+def blur(image: NDArray[Any], deviation: float) -> Image:
     """Blurs an image by a Gaussian of this standard deviation, pixels."""
     blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), deviation)
     return np.asarray(blurred, dtype=np.float32)

@@ -19,6 +19,7 @@ from gridpush_drake.perception.detection.foreground import (
     Foreground,
     Image,
     Mask,
+    blur,
     dilate,
     keep_largest,
     refine_boundary,
@@ -283,13 +284,13 @@ def _weigh_depth(plane: TablePlane, rough: Mask, painted: Mask) -> tuple[Image, 
         relative = above / np.float32(deviation)
         occupied = _widen((relative > PLAINLY_HIGH) | rough)
     says = np.clip(HEIGHT_SLOPE * (relative - HEIGHT_BIAS), *EVIDENCE_LIMITS)
-    says *= np.clip(MEASURED_GAIN * _blur(measured, HEIGHT_RADIUS), 0, 1)
+    says *= np.clip(MEASURED_GAIN * blur(measured, HEIGHT_RADIUS), 0, 1)
 
     # Some depth is missing everywhere; more than twice of that tells metal, or black.
     table = ~occupied
     hole = ~measured & ~painted
     usual = float(hole[table].mean()) if table.any() else 0.0
-    missing = _blur(hole, HOLE_RADIUS) - np.float32(2 * usual + HOLE_BIAS)
+    missing = blur(hole, HOLE_RADIUS) - np.float32(2 * usual + HOLE_BIAS)
     says += HOLE_EVIDENCE * np.clip(missing, 0, 1)
     return says.astype(np.float32), table
 
@@ -422,15 +423,9 @@ def _mend(drawn: Mask, before: Mask) -> Mask:
     return keep_largest(np.isin(labels, large) | (before & (near > 1)))
 
 
-def _blur(image: NDArray[Any], deviation: float) -> Image:
-    """Blurs an image by a Gaussian of this standard deviation, pixels."""
-    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), deviation)
-    return np.asarray(blurred, dtype=np.float32)
-
-
 def _blur_where(image: NDArray[Any], where: Mask, deviation: float) -> Image:
     """Takes the mean of an image's pixels of a mask near each pixel."""
-    weight = _blur(where, deviation) + np.float32(1e-3)
+    weight = blur(where, deviation) + np.float32(1e-3)
     counted = where if image.ndim == 2 else where[..., None]
-    total = _blur(np.where(counted, image, 0), deviation)
+    total = blur(np.where(counted, image, 0), deviation)
     return total / (weight if image.ndim == 2 else weight[..., None])

@@ -223,13 +223,6 @@ def _sample(image, x, y):
     return value
 
 
-@kernel(allocates=False)
-def sample(image, places, values):
-    """Interpolates an image of one channel at (n, 2) places; `values` (n,) is filled."""
-    for i in range(len(places)):
-        values[i] = _sample(image, places[i, 0], places[i, 1])
-
-
 class Across(NamedTuple):
     """Where an edge is looked for across the expected boundary.
 

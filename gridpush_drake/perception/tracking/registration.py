@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import map_coordinates, uniform_filter1d
 from shapely import Polygon
 
 from gridpush_drake.geometry.se2 import (
@@ -56,7 +56,6 @@ from gridpush_drake.perception.images.pixel_kernels import (
     Points,
     find_edges,
     linearize,
-    sample,
 )
 from gridpush_drake.perception.images.silhouette import make_silhouette, sample_boundary
 from gridpush_drake.perception.images.table_plane import TO_DEVIATION
@@ -599,7 +598,6 @@ def sample_image(image: NDArray[Any], places: Array) -> Array:
     Returns:
         (...) values; outside of the image it counts as 0.
     """
-    flat = np.ascontiguousarray(places, dtype=np.float64).reshape(-1, 2)
-    values = np.empty(len(flat))
-    sample(np.ascontiguousarray(image, dtype=np.float32), flat, values)
-    return values.reshape(places.shape[:-1])
+    rows_and_columns = np.moveaxis(places[..., ::-1], -1, 0)
+    values = map_coordinates(image, rows_and_columns, np.float64, order=1, mode="grid-constant")
+    return np.asarray(values)

@@ -65,13 +65,6 @@ AT_GOAL = "The object is at its goal: the finger rests until the object was seen
 NO_PUSH_FOUND = "No push was found that brings the object nearer: the finger rests until one is."
 """Reason of "pushing" if the search found nothing better than to stand still."""
 
-HOPELESS_STATUSES = (
-    FollowStatus.GOAL_OFF_TABLE,
-    FollowStatus.GOAL_BLOCKED,
-    FollowStatus.PATH_BLOCKED,
-)
-"""Statuses that no pose of the object changes."""
-
 
 @dataclass(frozen=True)
 class FollowOptions:

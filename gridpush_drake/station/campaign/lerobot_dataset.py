@@ -76,9 +76,6 @@ EPISODES_FILE = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.par
 INFO_FILE = "meta/info.json"
 """File by which a folder is known for a dataset."""
 
-COMMON_FEATURES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
-"""Features that every dataset has."""
-
 
 @dataclass(frozen=True)
 class Exported:

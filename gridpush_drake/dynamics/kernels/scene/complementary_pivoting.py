@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.scene.compiled import kernel
+from gridpush_drake.dynamics.kernels.compiled import kernel
 
 _PIVOTS = 8
 """Most pivots, as a multiple of the problem's size."""

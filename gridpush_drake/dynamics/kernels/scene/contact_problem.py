@@ -40,13 +40,13 @@ is a solution with the term and does not change any more is one without it.
 
 import numpy as np
 
+from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.contact_modes import (
     SEPARATE,
     SLIDE_MINUS,
     SLIDE_PLUS,
     STICK,
 )
-from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.complementary_pivoting import solve_complementarity
 from gridpush_drake.dynamics.kernels.scene.contact_rows import (
     CONTACT_UNKNOWNS,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.scene.compiled import kernel
+from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.complementary_pivoting import make_pivoting
 from gridpush_drake.dynamics.kernels.scene.records import (
     FIRST_BODY,

@@ -6,13 +6,13 @@ that W is banded: filling and solving it cost in proportion to the number of bod
 
 from math import sqrt
 
+from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.contact_modes import (
     SEPARATE,
     SLIDE_MINUS,
     SLIDE_PLUS,
     STICK,
 )
-from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.contact_rows import (
     calc_row_velocity,
     couple,

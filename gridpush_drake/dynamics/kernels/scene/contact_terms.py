@@ -12,7 +12,7 @@ subtracted. That is how `step_derivative` differentiates a step by what it start
 
 from cmath import cos, sin, sqrt
 
-from gridpush_drake.dynamics.kernels.scene.compiled import kernel
+from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.records import (
     FIRST_BEND,
     FIRST_BODY,

@@ -12,6 +12,7 @@ expected halfway through it (`contact.look_ahead`).
 
 from math import cos, sin, sqrt
 
+from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.contact import (
     BEND,
     CX,
@@ -25,7 +26,6 @@ from gridpush_drake.dynamics.kernels.contact.contact import (
     look_ahead,
 )
 from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE, STICK
-from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.records import (
     FINGER_BODY,
     FIRST_BEND,

@@ -9,10 +9,10 @@ from math import cos, sin, sqrt
 
 import numpy as np
 
+from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.contact import GAP, find_contacts
 from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
-from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.contact_rows import SceneScales
 from gridpush_drake.dynamics.kernels.scene.contacts import find_scene_contacts, take_edges
 from gridpush_drake.dynamics.kernels.scene.records import (

@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.friction.isotropic_friction import add_isotropic
-from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.contact_problem import solve_contacts
 from gridpush_drake.dynamics.kernels.scene.contact_rows import (
     fill_rows,

@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE, SLIDE_PLUS, STICK
 from gridpush_drake.dynamics.kernels.friction.isotropic_friction import fill_cell_forces
-from gridpush_drake.dynamics.kernels.scene.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.contact_rows import PAIR_COMPLIANCE, calc_compliance
 from gridpush_drake.dynamics.kernels.scene.contact_system import (
     build_contact_matrix,
