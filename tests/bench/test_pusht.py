@@ -5,14 +5,17 @@ import sys
 
 import numpy as np
 import pytest
+from PIL import Image, ImageColor
 
 from gridpush_drake.bench.pusht.experiments import (
     CENTER,
+    FILM_SIZE,
     MAX_OFFSET,
     Episode,
     Played,
     PushTPlayer,
     draw_center,
+    draw_centers,
     make_environment,
     play,
     play_in,
@@ -114,3 +117,16 @@ def test_figures_are_those_of_the_episodes():
     assert values["longest episode, decisions"] == 300
     with pytest.raises(GridPushError, match="expected 1 or more"):
         summarize([])
+
+
+def test_a_film_shows_where_the_t_is_believed_to_turn_about():
+    picture = Image.new("RGB", (FILM_SIZE, FILM_SIZE), "white")
+    player = PushTPlayer(0)
+    believed = player.controller.learner.estimate
+    pose = np.array([200.0, 300.0, np.pi / 2])
+    draw_centers(picture, player, pose, np.array([60.0, 0.0]))
+    scale = FILM_SIZE / 512
+    at = (200.0 - believed.center_y, 300.0 + believed.center_x)
+    assert picture.getpixel(tuple(round(scale * x) for x in at)) == ImageColor.getrgb("orange")
+    # the ring about the true one is seven pixels wide to either side
+    assert picture.getpixel((round(scale * 200) + 7, round(scale * 360))) == (0, 0, 0)

@@ -18,7 +18,7 @@ from time import thread_time
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from gridpush_drake.bench.pusht.feedback_controller import (
     FeedbackController,
@@ -35,7 +35,7 @@ from gridpush_drake.bench.study import Done, JobKind, Study, StudyOptions, optio
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.files import check_writable, write_whole
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.report.table import Proportion, Table, Value
 from gridpush_drake.units import MS_PER_S
 
@@ -87,6 +87,15 @@ FILM_COLUMNS = 2
 
 FILM_SIZE = 240
 """Width and height of an episode in a film, pixels of the film."""
+
+FIELD_SIZE = 512
+"""Width and height of the plane, px."""
+
+DOT_RADIUS = 4
+"""Radius of the dot where the T is believed to turn about, pixels of the film."""
+
+RING_RADIUS = 7
+"""Radius of the ring where the T truly turns about, pixels of the film."""
 
 FILM_COLORS = 32
 """Number of colors of a film."""
@@ -278,7 +287,7 @@ def _load_kernels() -> None:
 
 
 def play_in(
-    env: Any, player: PushTPlayer, seed: int, look: Callable[[], None] = lambda: None
+    env: Any, player: PushTPlayer, seed: int, look: Callable[[Array], None] = lambda seen: None
 ) -> dict[str, Any]:
     """Plays an episode in an environment.
 
@@ -286,7 +295,7 @@ def play_in(
         env: the environment.
         player: the player.
         seed: of the environment.
-        look: called at the beginning and after each decision.
+        look: called with what is observed, at the beginning and after each decision.
 
     Returns:
         The first fields of `Played`.
@@ -296,7 +305,7 @@ def play_in(
     times = []
     over = False
     terminated = False
-    look()
+    look(observation)
     while not over:
         begin = thread_time()
         action = player.act(observation)
@@ -304,7 +313,7 @@ def play_in(
         observation, _, terminated, truncated, info = env.step(action)
         coverages.append(float(info["coverage"]))
         over = bool(terminated or truncated)
-        look()
+        look(observation)
     return {
         "success": bool(terminated),
         "max_coverage": max(coverages),
@@ -312,6 +321,26 @@ def play_in(
         "decision_time": float(np.mean(times)),
         "slowest": max(times),
     }
+
+
+def draw_centers(picture: Image.Image, player: PushTPlayer, pose: Array, truth: Array) -> None:
+    """Draws about which point the T is believed to turn, as a dot, and truly turns, as a ring.
+
+    Args:
+        picture: an episode's picture, which is drawn into.
+        player: the player.
+        pose: (3,) of the T, px and rad.
+        truth: (2,) the true center of friction, body frame, px.
+    """
+    estimate = player.controller.learner.estimate
+    believed = np.array([estimate.center_x, estimate.center_y])
+    draw = ImageDraw.Draw(picture)
+    scale = FILM_SIZE / FIELD_SIZE
+    (x, y), (true_x, true_y) = scale * transform(pose, np.array([believed, truth]))
+    r = RING_RADIUS
+    draw.ellipse((true_x - r, true_y - r, true_x + r, true_y + r), outline="black")
+    r = DOT_RADIUS
+    draw.ellipse((x - r, y - r, x + r, y + r), fill="orange", outline="black")
 
 
 def write_film(path: Path, jobs: Sequence[Episode], force: bool = False) -> None:
@@ -322,16 +351,23 @@ def write_film(path: Path, jobs: Sequence[Episode], force: bool = False) -> None
     """
     films = []
     for job in jobs:
-        env = make_environment(draw_center(job.seed) if job.hidden else None)
+        truth = draw_center(job.seed) if job.hidden else None
+        env = make_environment(truth)
+        player = PushTPlayer(job.seed)
         pictures: list[Image.Image] = []
-        play_in(
-            env,
-            PushTPlayer(job.seed),
-            job.seed,
-            lambda env=env, pictures=pictures: pictures.append(  # type: ignore[misc]
-                Image.fromarray(env.render()).resize((FILM_SIZE, FILM_SIZE))
-            ),
-        )
+
+        def look(
+            seen: Array,
+            env: Any = env,
+            player: PushTPlayer = player,
+            truth: Array | None = truth,
+            pictures: list[Image.Image] = pictures,
+        ) -> None:
+            picture = Image.fromarray(env.render()).resize((FILM_SIZE, FILM_SIZE))
+            draw_centers(picture, player, seen[2:5], np.array(CENTER if truth is None else truth))
+            pictures.append(picture)
+
+        play_in(env, player, job.seed, look)
         env.close()
         films.append(pictures)
     columns = min(FILM_COLUMNS, len(films))
