@@ -129,4 +129,4 @@ def test_a_film_shows_where_the_t_is_believed_to_turn_about():
     at = (200.0 - believed.center_y, 300.0 + believed.center_x)
     assert picture.getpixel(tuple(round(scale * x) for x in at)) == ImageColor.getrgb("orange")
     # the ring about the true one is seven pixels wide to either side
-    assert picture.getpixel((round(scale * 200) + 7, round(scale * 360))) == (0, 0, 0)
+    assert picture.getpixel((int(scale * 200) + 7, int(scale * 360))) == (0, 0, 0)
