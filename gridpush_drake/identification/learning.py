@@ -150,12 +150,11 @@ def report(task: LearningTask, found: Found, judgment: FitJudgment) -> Identific
         The model, with its status and message, and with what weighings say.
     """
     source = found.screened.log.source
-    for sentence in list_warnings(judgment, task.obj.name):
-        message = f"{source}: {sentence}" if source else sentence
-        warnings.warn(message, PushLogWarning, stacklevel=3)
-    model = replace(
-        found.alone, status=judgment.status, message=describe_learning(found.alone, judgment)
-    )
+    for sentence in list_warnings(found, judgment):
+        warning = f"{source}: {sentence}" if source else sentence
+        warnings.warn(warning, PushLogWarning, stacklevel=3)
+    message = describe_learning(found, judgment)
+    model = replace(found.alone, status=judgment.status, message=message)
     if found.estimate is None:
         return model
     return add_estimate(model, found.estimate, task.weighings.source)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gridpush_drake.identification.fit.flipped_poses import FlippedPoses
 from gridpush_drake.identification.fit.learning_task import Found
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
@@ -32,7 +31,7 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
     Returns:
         Mean cell errors, m: with uniform parameters, as before any push, and as learned.
     """
-    used = _select_used(result, log)
+    used = select_used(result, log)
     before = calc_mean_cell_error(Model(result.obj, physics=result.physics), used)
     after = calc_mean_cell_error(result, used)
     return before, after
@@ -55,7 +54,7 @@ def find_center_conflict(result: Identification) -> float | None:
     return float(np.linalg.norm(result.identifiability.center_of_friction - given_center.at))
 
 
-def _select_used(result: Identification, log: PushLog) -> PushLog:
+def select_used(result: Identification, log: PushLog) -> PushLog:
     """Selects the pushes learned from, without what was refused of them."""
     used = remove_outliers(log, result.outliers)
     return used.subset([i for i, seen in enumerate(used) if seen.name in result.push_names])
@@ -119,16 +118,12 @@ class FitJudgment:
     Attributes:
         status: how learning ended, all in all.
         against: how far off the model is, where that speaks against it; else None.
-        search_end: how a search ended, in a word or two; None for a fit, which ends by itself.
         unused_forces: why measured forces are not learned from; None where they are.
-        flipped: pushes whose poses are a turn of a symmetric outline off; None where none are.
     """
 
     status: IdentificationStatus
     against: FitCheck | None
-    search_end: str | None
     unused_forces: str | None
-    flipped: FlippedPoses | None
 
 
 def judge(found: Found) -> FitJudgment:
@@ -143,7 +138,5 @@ def judge(found: Found) -> FitJudgment:
     return FitJudgment(
         status=status or model.status,
         against=None if status is None else check,
-        search_end=found.search_end,
         unused_forces=explain_unused_forces(model.obj, used, model.physics.inertial),
-        flipped=found.flipped,
     )

@@ -7,6 +7,7 @@ warnings, by `identify`, by reports and by the command line alike, is said here.
 from collections.abc import Iterator, Sequence
 
 from gridpush_drake.identification.fit.flipped_poses import FlippedPoses
+from gridpush_drake.identification.fit.learning_task import Found
 from gridpush_drake.identification.model_check import FitCheck, FitJudgment, find_center_conflict
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.notebook import count
@@ -25,19 +26,15 @@ FIT_ENDS = {
 """What is said of a fit, by how it ended."""
 
 
-def describe_learning(model: Identification, judgment: FitJudgment) -> str:
-    """Says how learning ended, and what speaks against the model.
-
-    Args:
-        model: what was learned, with the status of its fit or search.
-        judgment: what the pushes say of it.
-    """
+def describe_learning(found: Found, judgment: FitJudgment) -> str:
+    """Says how learning of one object ended, and what speaks against the model."""
+    model = found.alone
     against = judgment.against
     poor = None if against is None else describe_fit_check(against, model.obj.name)
-    if judgment.search_end is None:
+    if found.search_end is None:
         return poor or FIT_ENDS.get(model.status, "")
     # A fit says of itself only that it learned from the pushes, but a search how it ended.
-    end = judgment.search_end.replace("_", " ")
+    end = found.search_end.replace("_", " ")
     ended = f"The search ended after {model.simulations} simulations: {end}."
     return ended if poor is None else f"{ended} {poor}"
 
@@ -58,12 +55,12 @@ def describe_fit_check(check: FitCheck, name: str) -> str:
     return f"This model predicts these pushes no better than an even object would: {off}"
 
 
-def list_warnings(judgment: FitJudgment, name: str) -> Iterator[str]:
+def list_warnings(found: Found, judgment: FitJudgment) -> Iterator[str]:
     """Says what in the pushes may spoil the model, or is not learned from, and why."""
     if judgment.unused_forces is not None:
         yield judgment.unused_forces
-    if judgment.flipped is not None:
-        yield describe_flipped(judgment.flipped, name)
+    if found.flipped is not None:
+        yield describe_flipped(found.flipped, found.alone.obj.name)
 
 
 def describe_flipped(flipped: FlippedPoses, name: str) -> str:

@@ -33,8 +33,8 @@ from gridpush_drake.identification.innovation import InnovationRecord
 from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.methods import find_method
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.model_check import select_used
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
-from gridpush_drake.identification.statistics.outliers import remove_outliers
 from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.identification.tilt_tests.weighed_model import estimate_masses
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
@@ -502,8 +502,7 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
     loss = np.nan
     pushed = found.unweighed
     if log is not None and pushed.push_names:
-        used = remove_outliers(log, pushed.outliers)
-        used = used.subset([i for i, seen in enumerate(used) if seen.name in pushed.push_names])
+        used = select_used(pushed, log)
         problem = PushProblem(pushed.obj, used, pushed.params, pushed.physics)
         residuals = problem.residuals(problem.unknowns(pushed.params))
         loss = float(problem.calc_cell_errors(residuals).mean())

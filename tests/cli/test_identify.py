@@ -45,7 +45,7 @@ def test_offers_every_method():
 
 
 def test_refuses_to_replace_a_file_before_it_begins(refuses, block, pushes, tmp_path, monkeypatch):
-    monkeypatch.setattr(command, "search", None)
+    monkeypatch.setattr(command, "learn", None)
     for name in ("learned.yaml", "report.html"):
         (tmp_path / name).write_text("mine")
         outputs = ("--out", tmp_path / "learned.yaml", "--report", tmp_path / "report.html")
@@ -130,7 +130,7 @@ def test_an_interrupt_leaves_nothing(gridpush, block, pushes, tmp_path, monkeypa
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "search", interrupted)
+    monkeypatch.setattr(command, "learn", interrupted)
     outcome = gridpush("identify", block, pushes, "--out", tmp_path / "learned.yaml")
     assert outcome.code == 130
     assert outcome.err == "gridpush: interrupted; no file was left half-written\n"
