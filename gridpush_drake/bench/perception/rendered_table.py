@@ -149,7 +149,7 @@ class RenderedObject(NamedTuple):
 
 
 def make_lights(lamps: Iterable[tuple[str, float, ArrayLike]]) -> list[LightParameter]:
-    """Makes lights of lamps: the frame of each one's direction, its intensity, and its direction."""
+    """Makes lights of lamps: the frame of each direction, the intensity and the direction."""
     return [
         LightParameter(
             type="directional",
