@@ -75,7 +75,7 @@ class FeedbackOptions:
     innovations: int = 8
 
     def __post_init__(self) -> None:
-        for name in ("strokes", "changes", "horizon", "attempts", "surprises"):
+        for name in ("strokes", "changes", "horizon", "attempts", "innovations"):
             if not getattr(self, name) >= 1:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected 1 or more")
         if not 0 < self.success < 1:
