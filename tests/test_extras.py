@@ -111,7 +111,7 @@ def test_a_framework_that_is_not_there_is_named_with_its_extra(framework):
         "    print(error)\n"
     )
     assert done.stdout == (
-        f"{framework}: is not installed; expected pip install 'gridpush-drake[{framework}]'\n"
+        f"{framework}: is not installed; expected pip install '.[{framework}]', in a clone of the repository\n"
     ), done.stderr
 
 
@@ -125,7 +125,7 @@ def test_a_module_that_needs_an_extra_names_it(module):
         "    print(error)\n"
     )
     assert done.stdout == (
-        "clarabel: is not installed; expected pip install 'gridpush-drake[reference]'\n"
+        "clarabel: is not installed; expected pip install '.[reference]', in a clone of the repository\n"
     ), done.stderr
 
 
@@ -154,7 +154,7 @@ def test_a_command_that_needs_an_extra_says_so_in_one_line(tmp_path):
     assert [lines[i] for i in ends] == ["ended with 2"] * len(wanted)
     for end, extra in zip(ends, wanted, strict=True):
         assert lines[end - 1].startswith("gridpush: error: ")
-        assert f"expected pip install 'gridpush-drake[{extra}]'" in lines[end - 1]
+        assert f"expected pip install '.[{extra}]'" in lines[end - 1]
 
 
 def test_identify_names_the_extra_of_a_method(tmp_path):
@@ -169,7 +169,7 @@ def test_identify_names_the_extra_of_a_method(tmp_path):
     )
     assert done.returncode == 2
     assert "cma: is not installed" in done.stderr.splitlines()[-1]
-    assert "gridpush-drake[baselines]" in done.stderr.splitlines()[-1]
+    assert ".[baselines]" in done.stderr.splitlines()[-1]
     assert not (tmp_path / "model.yaml").exists()
 
 
@@ -178,6 +178,6 @@ def test_another_error_within_a_package_is_not_hidden(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ModuleNotFoundError, match="nothing_of_this_name"):
         import_extra("needs_another", "bench")
-    with pytest.raises(MissingExtraError, match=r"gridpush-drake\[bench\]"):
+    with pytest.raises(MissingExtraError, match=r".\[bench\]"):
         import_extra("nothing_of_this_name", "bench")
     assert issubclass(MissingExtraError, GridPushError)

@@ -5,10 +5,11 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 from urllib.parse import unquote
 
 import yaml
@@ -119,7 +120,8 @@ class StationDiagram(SphinxDirective):
         return [
             nodes.raw(
                 "",
-                f'<div class="drake-diagram">{drawn[drawn.index("<svg") :]}</div>',
+                f'<label class="drake-diagram" title="Click to enlarge"><input type="checkbox" hidden>'
+                f"{drawn[drawn.index('<svg') :]}</label>",
                 format="html",
             )
         ]
@@ -137,6 +139,32 @@ class PublicNames(SphinxDirective):
             lines.append(f"* {{py:obj}}`{name} <{public[name]}>`: {said}")
         node = nodes.container()
         self.state.nested_parse(StringList(lines), 0, node)
+        return [node]
+
+
+def list_sections(schema: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    """Yields the schemas of all parts of a scenario, those of its tasks among them, and of their parts."""
+    from gridpush_drake.station.schema.fields import Config
+
+    for field in schema.model_fields.values():
+        for part in (field.annotation, *get_args(field.annotation)):
+            if isinstance(part, type) and issubclass(part, Config):
+                yield part
+                yield from list_sections(part)
+
+
+class ScenarioSections(SphinxDirective):
+    """`{scenario-sections}`: every part of a scenario's file, with its fields."""
+
+    def run(self) -> list[nodes.Node]:
+        """Makes the list."""
+        from gridpush_drake import PushScenario
+
+        lines = ["```{eval-rst}"]
+        for part in dict.fromkeys(list_sections(PushScenario)):
+            lines.append(f".. autoclass:: {part.__module__}.{part.__name__}")
+        node = nodes.container()
+        self.state.nested_parse(StringList([*lines, "```"]), 0, node)
         return [node]
 
 
@@ -423,6 +451,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_lexer("csv", TextLexer)
     app.add_directive("pydrake_system", PydrakeSystem)
     app.add_directive("public-names", PublicNames)
+    app.add_directive("scenario-sections", ScenarioSections)
     app.add_directive("station-diagram", StationDiagram)
     app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", make_rst, priority=100)

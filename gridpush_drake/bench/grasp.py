@@ -6,6 +6,7 @@ campaign (`station.campaign.episodes`) with the shipped scenario.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from gridpush_drake.bench.study import OBJECTS_OPTION, Done, JobKind, Study, StudyOptions, option
 from gridpush_drake.errors import GridPushError
@@ -40,10 +41,18 @@ class GraspBenchOptions(StudyOptions):
     Attributes:
         objects: names of shipped objects.
         seeds: number of hidden truths and noises of each object; the first one has the seed `seed`.
+        unknown_inertia: whether the robot is told neither mass nor friction, and weighs the object.
+        camera: how the object is seen.
     """
 
     objects: tuple[str, ...] | None = option(None, **OBJECTS_OPTION)
     seeds: int = option(DEFAULT_SEED_COUNT, "Hidden truths and noises of each object.", least=1)
+    unknown_inertia: bool = option(
+        False, "Tell the robot neither mass nor friction: it weighs the object on the way."
+    )
+    camera: Literal["ideal", "rgbd"] = option(
+        "ideal", "What the robot sees; `gridpush demo --help` explains it."
+    )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,9 +78,12 @@ def make_jobs(options: GraspBenchOptions) -> list[EpisodeJob]:
         raise GridPushError("seeds: none; expected at least one")
     for name in options.names:
         find_shipped_object(name)
-    scenario = format_scenario(read_scenario(SCENARIO_NAME))
+    scenario = read_scenario(SCENARIO_NAME)
+    scenario.unknown_inertia = options.unknown_inertia
+    scenario.camera.use(options.camera)
+    text = format_scenario(scenario)
     return [
-        EpisodeJob(object=name, seed=options.seed + i, scenario=scenario)
+        EpisodeJob(object=name, seed=options.seed + i, scenario=text)
         for name in options.names
         for i in range(options.seeds)
     ]

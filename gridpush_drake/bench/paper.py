@@ -40,7 +40,8 @@ from gridpush_drake.bench.study import (
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
-from gridpush_drake.identification.learning import METHOD_NAMES, identify
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.methods import METHOD_NAMES
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.jobs.run import check_known

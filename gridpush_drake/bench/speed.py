@@ -210,7 +210,7 @@ def _measure_push(
             beside = measure(work, repetitions=3, warm_up=0)
             rows.append(_row("MuJoCo, cells as boxes, step 2 ms", beside, beside.median / plain))
         except ImportError:
-            notes.append("MuJoCo is not installed: pip install 'gridpush-drake[bench]'.")
+            notes.append("MuJoCo is not installed: pip install '.[bench]'.")
     rows.append(
         ["the paper, simulation", PAPER_SIMULATION * MS_PER_S, None, None, PAPER_SIMULATION / plain]
     )

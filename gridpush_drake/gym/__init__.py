@@ -11,7 +11,7 @@ Importing this package registers, for `gymnasium.make` and `gymnasium.make_vec`,
     gridpush/Follow-v0        push an object along a path, with a finger that is steered 10 times a
                               second
 
-It needs `pip install 'gridpush-drake[gym]'`.
+It needs `pip install '.[gym]'`.
 """
 
 import lazy_loader

@@ -2,7 +2,7 @@
 
 The other environments are of single pushes, decided beforehand (`gym.environments`). Here contact
 is kept: an action is the finger's velocity, and poses come late, with noise and gaps, as in
-`planning.feedback.LcpFingerWorld`. What is hidden is drawn as in the other games.
+`planning.feedback.SteeredFinger`. What is hidden is drawn as in the other games.
 """
 
 from collections.abc import Sequence
@@ -35,12 +35,14 @@ from gridpush_drake.gym.rendering import (
     SUPERSAMPLING,
     TABLE_COLOR,
 )
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.feedback.finger_world import LcpFingerWorld, PoseSensorModel
 from gridpush_drake.planning.feedback.follow_log import SeenPose
 from gridpush_drake.planning.feedback.pose_path import PathProgress, PosePath
-from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
+from gridpush_drake.planning.feedback.steered_finger import PoseSensorModel, SteeredFinger
+from gridpush_drake.planning.pushed_object import FeedbackFinger
+from gridpush_drake.planning.world import SimulatedWorld
 
 STEERED_FINGER = FeedbackFinger(radius=0.008, speed=0.1, walking_speed=0.2)
 """The finger. An action of length 1 is its walking speed."""
@@ -154,7 +156,7 @@ class FollowEpisode:
     hidden: CellParameters
     path: PosePath
     way: PathProgress
-    world: LcpFingerWorld
+    finger: SteeredFinger
     seen: SeenPose
     came: list[SeenPose]
     progress: float = 0.0
@@ -245,19 +247,19 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
         size = float(np.linalg.norm(chosen))
         direction = chosen / max(size, 1.0)
         velocity = STEERED_FINGER.walking_speed * direction
-        world = episode.world
+        finger = episode.finger
         episode.came = []
-        frame_count = round(STEP_PERIOD / world.pose_sensor.period)
+        frame_count = round(STEP_PERIOD / finger.pose_sensor.period)
         for _ in range(frame_count):
-            came = world.move(velocity)
+            came = finger.move(velocity)
             episode.came.extend(came)
         if episode.came:
             episode.seen = episode.came[-1]
         episode.steps += 1
         # what it was worth, by where the object truly is
-        center = self._find_center(episode, world.pose)
+        center = self._find_center(episode, finger.pose)
         before = episode.progress
-        episode.progress = episode.way.project(center, float(world.pose[2]), before)
+        episode.progress = episode.way.project(center, float(finger.pose[2]), before)
         off = float(episode.way.measure_distance(center[None])[0])
         episode.off.append(off)
         end = episode.way.at(episode.way.length)[:2]
@@ -289,10 +291,8 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
         hidden = replace(hidden, contact_friction=contact_friction)
         path = draw_path(obj, rng)
         pose = np.array(path.poses[0])
-        world = LcpFingerWorld(
-            obj,
-            hidden,
-            pose,
+        finger = SteeredFinger(
+            SimulatedWorld(Model(obj, hidden), pose),
             tip=place_behind(obj, path),
             radius=STEERED_FINGER.radius,
             pose_sensor=self.options.make_pose_sensor(),
@@ -307,7 +307,7 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
             hidden=hidden,
             path=path,
             way=PathProgress(obj, path),
-            world=world,
+            finger=finger,
             seen=seen,
             came=[seen],
         )
@@ -325,8 +325,8 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
         poses = np.column_stack([origins, np.cos(headings), np.sin(headings)])
         values = {
             "pose": flatten_pose(seen),
-            "age": np.array([episode.world.time - episode.seen.time]),
-            "tip": episode.world.tip,
+            "age": np.array([episode.finger.time - episode.seen.time]),
+            "tip": episode.finger.tip,
             "path": poses,
             "progress": np.array([progress]),
             "outline": episode.shape.outline.ravel(),
@@ -402,11 +402,11 @@ def draw_following(episode: FollowEpisode) -> NDArray[np.uint8]:
 
     outline = np.array(obj.outline.exterior.coords)[:, :2]
     width = max(1, round(LINE_WIDTH * scale))
-    brush.polygon(place(transform(episode.world.pose, outline)), fill=OBJECT_COLOR)
+    brush.polygon(place(transform(episode.finger.pose, outline)), fill=OBJECT_COLOR)
     lengths = np.linspace(0.0, episode.way.length, PATH_POINTS)
     line = episode.way.at(lengths)[:, :2]
     brush.line(place(line), fill=GOAL_COLOR, width=width)
     brush.line(place(transform(episode.path.goal, outline)), fill=GOAL_COLOR, width=width)
-    finger = shapely.Point(episode.world.tip).buffer(STEERED_FINGER.radius)
+    finger = shapely.Point(episode.finger.tip).buffer(STEERED_FINGER.radius)
     brush.polygon(place(shapely.get_coordinates(finger)), fill=PUSH_COLOR)
     return np.asarray(image.reduce(SUPERSAMPLING))

@@ -15,11 +15,10 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.absolute.estimate import (
     INTERVAL_SIGMAS,
     AbsoluteEstimate,
-    TiltingLine,
-    describe_sources,
 )
 from gridpush_drake.identification.absolute.force_scale import ForceScale
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.statements import list_statements
 from gridpush_drake.identification.statistics.posterior import (
     CELL_ENTRIES,
     LEARNED_FRACTION,
@@ -54,7 +53,10 @@ class Identifiability:
         mass_max: (n,) kg, the greatest mass each cell may have.
         center_of_mass_box: (2, 2) rows min and max of the centers of mass that agree with k, taken
             for exact, and the bounds, m.
-        statements: all this in sentences, for a report.
+        free_box: (2, 2) the same box without what forces and weighings say, m.
+        obj: the object.
+        force: what measured forces say; None where there are none.
+        absolute: what weighings say; None of an object that was not weighed.
     """
 
     relative_friction: Array
@@ -67,7 +69,25 @@ class Identifiability:
     mass_min: Array
     mass_max: Array
     center_of_mass_box: Array
-    statements: tuple[str, ...]
+    free_box: Array
+    obj: GridObject
+    force: ForceScale | None = None
+    absolute: AbsoluteEstimate | None = None
+
+    @property
+    def statements(self) -> tuple[str, ...]:
+        """All this in sentences, for a report."""
+        variance = np.diag(self.center_of_friction_covariance)
+        return list_statements(
+            self.obj,
+            learned=self.learned_directions,
+            learned_share=self.learned_share,
+            center_std=np.sqrt(np.maximum(variance, 0.0)),
+            free_box=self.free_box,
+            box=self.center_of_mass_box,
+            force=self.force,
+            absolute=self.absolute,
+        )
 
     def __repr__(self) -> str:
         """How much is known, in a line."""
@@ -111,13 +131,11 @@ def calc_identifiability(
     prior = posterior.prior_covariance[CELL_ENTRIES, CELL_ENTRIES]
     after = posterior.covariance[CELL_ENTRIES, CELL_ENTRIES]
     null_space = _calc_null_space(prior, after)
-    learned = obj.n - len(null_space)
     learned_share = np.clip(1 - np.diag(after) / np.diag(prior), 0.0, 1.0)
 
     # c = sum_i x_i p_i is linear in the shares.
     center = fraction @ obj.p_BC
     center_covariance = obj.p_BC.T @ fraction_covariance @ obj.p_BC
-    center_std = np.sqrt(np.maximum(np.diag(center_covariance), 0.0))
 
     # Mass by itself is known only within what the friction bounds leave. Measured forces narrow
     # that, if they agree with the mass that was told.
@@ -128,31 +146,25 @@ def calc_identifiability(
     if mean_friction is not None:
         box = _calc_box_of_known_scale(fraction, obj, *mean_friction)
 
-    center_box = None
-    weighed = absolute is not None and not absolute.contradictory
-    if absolute is not None and weighed:
+    if absolute is not None and not absolute.contradictory:
         # The object's mass is known now, whatever the forces bounded it to.
         mass_min, mass_max = _calc_mass_bounds(fraction, params.total_mass, obj, None)
-        center_box = _cut_box(wide, absolute)
-    statements = _describe(obj, learned, learned_share, center_std, wide, center_box)
-    if force is not None:
-        # The first statement is that the common scale is not known: with forces it is.
-        scale = _describe_force(obj, force, wide, box, weighed)
-        statements = (scale, *statements[1:])
-    if absolute is not None:
-        statements = (_describe_mass_tests(absolute), *statements)
+        box = _cut_box(wide, absolute)
     return Identifiability(
         relative_friction=fraction,
         relative_friction_std=np.sqrt(np.maximum(np.diag(fraction_covariance), 0.0)),
         center_of_friction=center,
         center_of_friction_covariance=center_covariance,
-        learned_directions=learned,
+        learned_directions=obj.n - len(null_space),
         null_space=null_space,
         learned_share=learned_share,
         mass_min=mass_min,
         mass_max=mass_max,
-        center_of_mass_box=box if center_box is None else center_box,
-        statements=statements,
+        center_of_mass_box=box,
+        free_box=wide,
+        obj=obj,
+        force=force,
+        absolute=absolute,
     )
 
 
@@ -303,53 +315,6 @@ def _calc_null_space(prior: Array, after: Array) -> Array:
     return (basis[:, keep] * signs).T
 
 
-def _describe_force(
-    obj: GridObject, force: ForceScale, wide: Array, box: Array, weighed: bool
-) -> str:
-    """Says what the measured forces show that poses alone do not.
-
-    Args:
-        obj: the object.
-        force: the scale that the forces give.
-        wide: (2, 2) box of possible centers of mass without forces, m.
-        box: (2, 2) box of possible centers of mass with them, m.
-        weighed: whether the object was weighed, so that its mass is known better than by forces.
-    """
-    known = (
-        f"The forces of {force.pushes} pushes show the common scale of the friction, "
-        f"which poses do not: the table holds the whole object with {force.friction:.2f} N, "
-        f"give or take {force.friction * force.relative_std:.2f} N (one standard deviation). "
-    )
-    if force.against:
-        known += (
-            f"Left out are the forces of {force.against} pushes "
-            "that point against the pusher's motion. "
-        )
-    if weighed:
-        return known.rstrip()
-    lightest, heaviest = force.calc_mass_bounds(obj)
-    low = obj.prior.friction_min
-    high = obj.prior.friction_max
-    mass = obj.prior.total_mass
-    between = (
-        f"with friction coefficients from {low:g} to {high:g} "
-        f"the object weighs {lightest:.3g} to {heaviest:.3g} kg"
-    )
-    if mass is None:
-        return f"{known}Hence {between}."
-    mean = force.calc_mean_friction_bounds(obj)
-    if mean is None:
-        return (
-            f"{known}That contradicts what was told: {between}, not {mass:g} kg; "
-            "the forces are not used."
-        )
-    return (
-        f"{known}As it weighs {mass:g} kg, the mean friction coefficient is between {mean[0]:.3f} "
-        f"and {mean[1]:.3f}, and the box of possible centers of mass is {_describe_size(box)}; "
-        f"without forces it would be {_describe_size(wide)}."
-    )
-
-
 def _cut_box(box: Array, absolute: AbsoluteEstimate) -> Array:
     """Cuts a box (2, 2) of centers of mass down to where weighings say that the center is.
 
@@ -359,121 +324,3 @@ def _cut_box(box: Array, absolute: AbsoluteEstimate) -> Array:
     known = np.array([absolute.center_of_mass - reach, absolute.center_of_mass + reach])
     both = np.array([np.maximum(box[0], known[0]), np.minimum(box[1], known[1])])
     return both if (both[0] < both[1]).all() else known
-
-
-def _describe_mass_tests(absolute: AbsoluteEstimate) -> str:
-    """Says what weighings show."""
-    if absolute.contradictory:
-        return (
-            f"Weighed by {describe_sources(absolute)}, which contradict each other: with a "
-            f"probability of {absolute.agreement:.2g} observations agree as badly as these. "
-            "Their numbers are not used. Are the edge, the places and the signs of the forces "
-            f"right? {_describe_tests(absolute)}"
-        ).rstrip()
-    low, high = absolute.mass_interval
-    least, most = absolute.friction_interval
-    x, y = absolute.center_of_mass * MM_PER_M
-    std = absolute.center_std * MM_PER_M
-    words = (
-        f"Weighed by {describe_sources(absolute)}: the object weighs {absolute.total_mass:.3g} kg "
-        f"({low:.3g} to {high:.3g} kg with a probability of 95 %), and its center of mass is at "
-        f"x {x:.1f} ± {std[0]:.1f} mm, y {y:.1f} ± {std[1]:.1f} mm (one standard deviation). "
-    )
-    if absolute.pushes:
-        words += f"The mean friction coefficient is {absolute.friction:.3f} "
-        words += f"({least:.3f} to {most:.3f})."
-    else:
-        words += "The forces of no push were measured, so that the friction stays as supposed."
-    return f"{words} {_describe_tests(absolute)}".rstrip()
-
-
-def _describe_tests(absolute: AbsoluteEstimate) -> str:
-    """Says which presses do not count as tilts about the edge; empty if all do."""
-    words = []
-    for i, one in enumerate(absolute.tests):
-        if one.line == TiltingLine.EDGE:
-            continue
-        statement = f"press {i + 1} gave way at {one.force:.2f} N, where {one.expected:.2f} N "
-        statement += (
-            f"({one.residual:+.1f} standard deviations) are expected of a tilt about the edge"
-        )
-        if one.line == TiltingLine.NONE:
-            words.append(f"{statement}, and is left out")
-        else:
-            assert one.support_distance is not None
-            words.append(
-                f"{statement}: it rocked on supports {one.support_distance * MM_PER_M:.0f} mm "
-                "inside the edge"
-            )
-    if not words:
-        return ""
-    text = "; ".join(words)
-    return f"{text[0].upper()}{text[1:]}."
-
-
-def _describe_patterns(obj: GridObject, patterns: int, cells: int) -> str:
-    """Says how many combinations of the cells the pushes determined, and how many cells profit."""
-    if patterns < 1:
-        return (
-            f"The pushes determined nothing of how the friction is spread over the {obj.n} cells."
-        )
-    many = "1 pattern" if patterns == 1 else f"{patterns} independent patterns"
-    return (
-        f"The pushes determined {many} of how the friction is spread over the {obj.n} cells, such "
-        "as more at one end and less at the other. Since neighboring cells are supposed to be "
-        f"alike, this takes at least half of the variance from {cells} of the cells; what sets a "
-        "cell apart from its neighbors stays as it was supposed beforehand."
-    )
-
-
-def _describe_size(box: Array) -> str:
-    """Says how wide and how high a box (2, 2), m, is."""
-    x, y = np.diff(box, axis=0)[0] * MM_PER_M
-    return f"{x:.0f} mm by {y:.0f} mm"
-
-
-def _describe(
-    obj: GridObject,
-    learned: int,
-    learned_share: Array,
-    center_std: Array,
-    box: Array,
-    center_box: Array | None,
-) -> tuple[str, ...]:
-    """Says in sentences what slow pushes observed by their poses show, and what they cannot.
-
-    Args:
-        obj: the object.
-        learned: number of combinations of the cells' log friction that the pushes determined.
-        learned_share: (n,) fraction of each cell's prior variance that they took away.
-        center_std: (2,) standard deviation of the center of friction, m.
-        box: (2, 2) box of possible centers of mass by the pushes and the friction's bounds, m.
-        center_box: (2, 2) what weighings leave of it, m; None of an object that was not weighed.
-    """
-    total = (
-        "that they add up to the known total mass"
-        if obj.prior.total_mass
-        else "a total mass that was not measured"
-    )
-    supposed = f"suppose that all cells have the same friction coefficient, and {total}"
-    rest = "with equal coefficients it is at the center of friction"
-    if center_box is not None:
-        supposed = (
-            "are those nearest to it, as a whole, that have the weighed mass and center of mass"
-        )
-        rest = f"the weighings leave {_describe_size(center_box)} of it"
-    known_cells = int((learned_share >= LEARNED_FRACTION).sum())
-    low = obj.prior.friction_min
-    high = obj.prior.friction_max
-    return (
-        "Not identifiable from these data: the common scale of the friction. "
-        "Slow pushes observed by their poses look the same when every cell rubs twice as hard.",
-        "Not identifiable from these data: mass and friction of a cell apart. Only their product, "
-        f"relative to the other cells', acts on a slow push; the masses shown {supposed}.",
-        _describe_patterns(obj, learned, known_cells),
-        f"The center of friction is known to {MM_PER_M * center_std[0]:.1f} mm in x "
-        f"and {MM_PER_M * center_std[1]:.1f} mm in y (one standard deviation).",
-        "Were the friction of each cell exactly as estimated, friction coefficients anywhere from "
-        f"{low:g} to {high:g} would still leave the center of mass anywhere in a box of "
-        f"{_describe_size(box)}; {rest}.",
-    )

@@ -1,18 +1,21 @@
 """Whether a learned model may be trusted, by the pushes it was learned from and what was known.
 
-`describe_poor_fit` says in sentences what speaks against it. How far off predictions may be is in
-`spread`.
+`sentences` says it in words. How far off predictions may be is in `spread`.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
+from gridpush_drake.identification.fit.flipped_poses import FlippedPoses
+from gridpush_drake.identification.fit.learning_task import Found
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
 from gridpush_drake.identification.statistics.outliers import remove_outliers
+from gridpush_drake.pushes.plausibility import explain_unused_forces
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.units import MM_PER_M
 
 POOR_ERROR_FRACTION = 0.2
 """Largest error of the pushes learned from, as a fraction of how far the object moves. A model with
@@ -35,24 +38,11 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
     return before, after
 
 
-def describe_poor_fit(result: Identification) -> str | None:
-    """Says in sentences why a model should not be trusted; None where nothing speaks against it.
-
-    That is a model that explains too little of the pushes it was learned from (its status is then
-    "explains_little"), and a center of friction too far from the center of mass told.
-    """
-    if not result.push_names:
-        return None
-    poor = result.status == IdentificationStatus.EXPLAINS_LITTLE
-    conflicts = (result.message if poor else None, describe_center_conflict(result))
-    return " ".join(filter(None, conflicts)) or None
-
-
-def describe_center_conflict(result: Identification) -> str | None:
-    """Says that the center of friction is too far from the center of mass that was told.
+def find_center_conflict(result: Identification) -> float | None:
+    """Finds whether the center of friction is too far from the center of mass that was told.
 
     Returns:
-        The sentences; None where both agree, or no center of mass was told.
+        How far it is, m; None where both agree, or no center of mass was told.
     """
     given_center = CenterOfMass.of_prior(result.obj.prior)
     z = result.posterior.mean
@@ -62,12 +52,7 @@ def describe_center_conflict(result: Identification) -> str | None:
     off, _ = given_center.linearize(result.obj, z, given_center.make_whitening(result.obj, z)[0])
     if np.linalg.norm(off) < CONTRADICTION_SIGMAS:
         return None
-    x, y = given_center.at
-    distance = float(np.linalg.norm(result.identifiability.center_of_friction - given_center.at))
-    return (
-        f"The pushes put the center of friction {distance * MM_PER_M:.1f} mm "
-        f"from the center of mass that was told, [{x:g}, {y:g}] m. Is center_of_mass.at right?"
-    )
+    return float(np.linalg.norm(result.identifiability.center_of_friction - given_center.at))
 
 
 def _select_used(result: Identification, log: PushLog) -> PushLog:
@@ -76,46 +61,89 @@ def _select_used(result: Identification, log: PushLog) -> PushLog:
     return used.subset([i for i, seen in enumerate(used) if seen.name in result.push_names])
 
 
-def judge_fit(result: Identification, used: PushLog) -> tuple[IdentificationStatus, str] | None:
-    """Says that a model is far off where pushes ended, or no better than an even object.
+@dataclass(frozen=True)
+class FitCheck:
+    """How far off a model is from the pushes that it was learned from.
+
+    Attributes:
+        error: mean cell error of the model, m.
+        even_error: that of an even object, m.
+        motion: how far the pushes moved the object's cells on average, m: the error of a model
+            without any skill, by which nothing moves.
+        noise_std: standard deviation of what the model leaves unexplained, m.
+    """
+
+    error: float
+    even_error: float
+    motion: float
+    noise_std: float
+
+    @property
+    def status(self) -> IdentificationStatus | None:
+        """The status that such a model deserves; None where nothing is wrong with it."""
+        worse = self.error > self.even_error + self.noise_std
+        if self.error > POOR_ERROR_FRACTION * self.motion or worse:
+            return IdentificationStatus.EXPLAINS_LITTLE
+        return IdentificationStatus.PRIOR_KEPT if self.error > self.even_error else None
+
+
+def check_fit(result: Identification, used: PushLog) -> FitCheck | None:
+    """Checks a model by the pushes that it was learned from.
 
     Args:
         result: the model; the regime of its physics is not "auto".
-        used: the pushes that it was learned from, without what was refused of them.
+        used: its pushes, without what was refused of them.
 
     Returns:
-        The status that it deserves, and why, in sentences; None where nothing is wrong with it.
+        How far off it is; None where there are no pushes.
     """
     if not len(used):
         return None
     obj = result.obj
-
-    # How far the pushes moved the object's cells on average: what a model without any skill, by
-    # which nothing moves, would be off by.
     moved = []
     for seen in used:
         cells = obj.cells_at([seen.pose, seen.final_pose])
         moved.append(np.linalg.norm(np.diff(cells, axis=0), axis=2).mean())
-    mean = float(np.mean(moved))
-
-    # By how much the model is off, in the same measure, and by how much an even object is.
-    error = calc_mean_cell_error(result, used)
-    even = calc_mean_cell_error(Model(obj, physics=result.physics), used)
-    off = (
-        f"it is off by {error * MM_PER_M:.1f} mm on average, an even object by "
-        f"{even * MM_PER_M:.1f} mm, "
-        f"while the object moves by {mean * MM_PER_M:.1f} mm."
+    return FitCheck(
+        error=calc_mean_cell_error(result, used),
+        even_error=calc_mean_cell_error(Model(obj, physics=result.physics), used),
+        motion=float(np.mean(moved)),
+        noise_std=result.noise_std,
     )
-    if error > POOR_ERROR_FRACTION * mean or error > even + result.noise_std:
-        return (
-            IdentificationStatus.EXPLAINS_LITTLE,
-            f"This model explains these pushes poorly: {off} "
-            "Is object_theta in rad and counterclockwise, are all poses in one frame, "
-            f"and are all pushes of {obj.name} and its outline right?",
-        )
-    if error > even:
-        return (
-            IdentificationStatus.PRIOR_KEPT,
-            f"This model predicts these pushes no better than an even object would: {off}",
-        )
-    return None
+
+
+@dataclass(frozen=True, eq=False)
+class FitJudgment:
+    """What speaks against a model and its log.
+
+    Attributes:
+        status: how learning ended, all in all.
+        against: how far off the model is, where that speaks against it; else None.
+        search_end: how a search ended, in a word or two; None for a fit, which ends by itself.
+        unused_forces: why measured forces are not learned from; None where they are.
+        flipped: pushes whose poses are a turn of a symmetric outline off; None where none are.
+    """
+
+    status: IdentificationStatus
+    against: FitCheck | None
+    search_end: str | None
+    unused_forces: str | None
+    flipped: FlippedPoses | None
+
+
+def judge(found: Found) -> FitJudgment:
+    """Judges what was learned of one object, by the pushes that it was learned from."""
+    model = found.alone
+    used = found.screened.log
+    check = check_fit(model, used)
+    status = None if check is None else check.status
+    # That an even object does as well says nothing new of a model whose learning did not end well.
+    if status == IdentificationStatus.PRIOR_KEPT and model.status != IdentificationStatus.LEARNED:
+        status = None
+    return FitJudgment(
+        status=status or model.status,
+        against=None if status is None else check,
+        search_end=found.search_end,
+        unused_forces=explain_unused_forces(model.obj, used, model.physics.inertial),
+        flipped=found.flipped,
+    )

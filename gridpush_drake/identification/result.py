@@ -125,6 +125,8 @@ class Identification(Model):
             the table; empty for other methods than the default.
         absolute: mass, center of mass and mean friction of an object that was weighed; None of one
             that was not. It may be contradictory, which only `weighed` is not.
+        pushed: the model of an object that was weighed, as it was before the weighings were added;
+            None of one that was not, and of one that was read from a file.
     """
 
     std: CellParameters
@@ -147,6 +149,7 @@ class Identification(Model):
     noise: NoiseModel = field(default_factory=NoiseModel)
     hypotheses: tuple[HypothesisEvidence, ...] = ()
     absolute: AbsoluteEstimate | None = None
+    pushed: "Identification | None" = None
 
     def __repr__(self) -> str:
         """Object, status and how well it is known, in two lines."""
@@ -196,6 +199,16 @@ class Identification(Model):
         """What weighings say, to plan and to predict with; None if they contradict each other."""
         absolute = self.absolute
         return None if absolute is None or absolute.contradictory else absolute
+
+    @property
+    def unweighed(self) -> "Identification":
+        """The model without what weighings say; itself if the object was not weighed."""
+        return self if self.pushed is None else self.pushed
+
+    @property
+    def fit_starts(self) -> tuple[FitStart, ...]:
+        """Places where a fit to more pushes may begin."""
+        return self.starts or (FitStart(self.posterior.mean, NoiseScale()),)
 
     @property
     def noise_scale(self) -> NoiseScale:

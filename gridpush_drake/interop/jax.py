@@ -1,6 +1,6 @@
 """Pushes in JAX: `simulate` with `grad`, `jacfwd`, `jacrev`, `vmap` and `jit`.
 
-    pip install 'gridpush-drake[jax]'
+    pip install '.[jax]'
 
 The simulation runs in this package's compiled kernels, which JAX calls back; the derivatives are
 their exact Jacobian, not JAX's. Second derivatives are not there. All numbers are 64-bit: call

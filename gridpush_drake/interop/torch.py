@@ -1,6 +1,6 @@
 """Pushes in torch: `simulate` with `backward`, `gradcheck` and `torch.func`.
 
-    pip install 'gridpush-drake[torch]'
+    pip install '.[torch]'
 
 The simulation runs in this package's compiled kernels on the CPU; the derivatives are their exact
 Jacobian. Second derivatives are not there. All numbers are `torch.float64`.

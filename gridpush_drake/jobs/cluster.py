@@ -54,9 +54,7 @@ def _connect(address: str) -> "Client":
     try:
         from distributed import Client
     except ImportError as error:
-        raise GridPushError(
-            "--dask: needs distributed; pip install 'gridpush-drake[cluster]'"
-        ) from error
+        raise GridPushError("--dask: needs distributed; pip install '.[cluster]'") from error
     logging.getLogger(Client.__module__).setLevel(
         logging.CRITICAL
     )  # what it has to say is said here

@@ -29,6 +29,12 @@ SOURCE_SUFFIXES = (".py", ".yaml", ".sdf", ".urdf")
 NO_SOURCES = "cli"
 """Folder of the package that no results depend on."""
 
+RESULT_KEYS = ("job", "result")
+"""Keys of a line of results; others say what stands beside the result."""
+
+ANY_PROGRAM = "any"
+"""What stands for the program where each result says itself which one made it."""
+
 RESULTS_HEAD = b'{"bench": "'
 """First bytes of every file of results."""
 
@@ -46,19 +52,31 @@ class Results:
 
     Attributes:
         path: the file.
-        lines: results that were in it when it was opened, by job.
+        lines: results that are in it, by job.
+        stamps: what else stands beside each result, by job, such as the commit that made it.
     """
 
-    def __init__(self, path: Path, lines: dict[str, Any], head: dict[str, Any] | None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        lines: dict[str, Any],
+        head: dict[str, Any] | None,
+        stamps: dict[str, dict[str, str]] | None = None,
+        stamp: dict[str, str] | None = None,
+    ) -> None:
         """Takes what is known of a file.
 
         Args:
             path: the file.
             lines: results that are in it, by job.
             head: first line of a file that is to be begun; None goes on with the one that is there.
+            stamps: what stands beside these results, by job.
+            stamp: what is to stand beside those that are made now; None for nothing.
         """
         self.path = path
         self.lines = lines
+        self.stamps = stamps or {}
+        self._stamp = stamp or {}
         self._head = head
 
     def find(self, function: Callable[[Any], Result], jobs: Sequence[Any]) -> dict[int, Result]:
@@ -80,6 +98,10 @@ class Results:
                 f"({error.title})"
             ) from error
 
+    def find_stamp(self, job: Any) -> dict[str, str]:
+        """Returns what stands beside a job's result; nothing where there is none."""
+        return self.stamps.get(make_key(job), {})
+
     def forget(self, job: Any) -> None:
         """Lets a finished job be done again. In the file a later result counts, not an earlier."""
         self.lines.pop(make_key(job), None)
@@ -91,7 +113,10 @@ class Results:
             OutputError: the file cannot be written.
         """
         plain = _find_adapter(function).dump_python(result, mode="json")
-        line = {"job": json.loads(make_key(job)), "result": plain}
+        key = make_key(job)
+        line = {"job": json.loads(key), "result": plain} | self._stamp
+        self.stamps[key] = self._stamp
+        self.lines[key] = plain
         try:
             if self._head is not None:
                 self.path.parent.mkdir(exist_ok=True)
@@ -117,7 +142,11 @@ def make_key(job: Any) -> str:
 
 
 def open_results(
-    path: Path | str | None, bench: str, settings: dict[str, Any], force: bool = False
+    path: Path | str | None,
+    bench: str,
+    settings: dict[str, Any],
+    force: bool = False,
+    stamp: dict[str, str] | None = None,
 ) -> Results:
     """Opens the file of a bench's results, or begins one.
 
@@ -127,6 +156,8 @@ def open_results(
         bench: name of the bench.
         settings: all that was chosen and that results depend on.
         force: whether to begin a file anew that is there.
+        stamp: what is to stand beside each result. Whoever gives it says by it which program made
+            a result, and so the file may hold those of several; None for one program.
 
     Raises:
         GridPushError: the file is of other settings, or is no such file.
@@ -134,7 +165,7 @@ def open_results(
     """
     head = {
         "bench": bench,
-        "program": hash_sources(),
+        "program": ANY_PROGRAM if stamp else hash_sources(),
         "settings": json.loads(json.dumps(settings, default=str)),
     }
     if path is None:
@@ -145,8 +176,14 @@ def open_results(
     else:
         path = check_writable(path, force=True)
     if path.exists() and not force and not _is_cut(path):
-        return Results(path, _read(path, head), None)
-    return Results(path, {}, head)
+        lines = _read(path, head)
+        kept = {key: line["result"] for key, line in lines.items()}
+        stamps = {
+            key: {name: line[name] for name in line if name not in RESULT_KEYS}
+            for key, line in lines.items()
+        }
+        return Results(path, kept, None, stamps, stamp)
+    return Results(path, {}, head, stamp=stamp)
 
 
 def _is_cut(path: Path) -> bool:
@@ -164,12 +201,12 @@ def _is_cut(path: Path) -> bool:
 
 
 def _read(path: Path, head: dict[str, Any]) -> dict[str, Any]:
-    """Reads the results, and cuts off a last line that is not whole."""
+    """Reads the lines of results by job, and cuts off a last one that is not whole."""
     content = path.read_bytes()
     whole = content[: content.rfind(b"\n") + 1]
     try:
         first, *lines = [json.loads(line) for line in whole.splitlines()]
-        known = {json.dumps(line["job"]): line["result"] for line in lines}
+        known = {json.dumps(line["job"]): line | {"result": line["result"]} for line in lines}
         there = {"bench": first["bench"], "program": first["program"], **first["settings"]}
     except (ValueError, KeyError, TypeError) as error:
         raise GridPushError(

@@ -2,9 +2,11 @@ from .closed_loop import LoopOptions as LoopOptions
 from .loop_run import Learner as Learner
 from .loop_run import run_loop as run_loop
 from .push_constraints import PushConstraints as PushConstraints
+from .pushed_object import FeedbackFinger as FeedbackFinger
 from .support_surface import SupportSurface as SupportSurface
 from .world import PushWorld as PushWorld
 from .world import SimulatedWorld as SimulatedWorld
+from .world import SteeredWorld as SteeredWorld
 from .world import TrackedWorld as TrackedWorld
 from .world import WorldMotion as WorldMotion
 from .world import WorldTruth as WorldTruth

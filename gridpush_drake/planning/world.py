@@ -1,16 +1,18 @@
 """Worlds in which objects can be pushed: the one form that closed loops, benches and games use.
 
 A `PushWorld` holds one object, or several. They can be put down at poses (`put`), they can be
-pushed (`execute`), and they can be looked at (`observe`). What is true of them is in `truth`, which
+pushed (`execute`), and they can be looked at (`observe`). In a `SteeredWorld` the finger can also
+be moved bit by bit, with the object in motion between. What is true of them is in `truth`, which
 only judges may read: whoever plans or learns sees poses with noise, as a camera or a tracker gives
 them. Where there is one object its pose is (3,), and of N objects (N, 3). Whoever writes for any
 number of them may put one down at (1, 3), and sees it so.
 
 These are worlds:
 
-    SimulatedWorld           here: the model's own quasi-static simulator, for any number of objects
+    SimulatedWorld           here: the model's own quasi-static simulator, for any number of objects;
+                             the finger of one can be steered
     EdgeWorld                `bench.pregrasp.world`: the same, with loads that shift at an edge
-    MujocoWorld              `bench.truth.mujoco_world`: a rigid body on feet, in MuJoCo
+    MujocoWorld              `bench.truth.mujoco_world`: a rigid body on feet, in MuJoCo; steered, too
     PlantWorld               `bench.worlds.plant`: a body in Drake's MultibodyPlant
     EnvironmentWorld         `gym.world`: an episode of a Gymnasium environment
     StationWorld             `station.simulated.world`: a robot in a simulated station
@@ -30,6 +32,15 @@ from numpy.typing import ArrayLike, NDArray
 from shapely import MultiPoint, Point
 
 from gridpush_drake.dynamics.bodies import Bodies
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
+    STATE_SIZE,
+    THETA,
+    TIP_X,
+    TIP_Y,
+    PushedModel,
+    X,
+    follow_tip,
+)
 from gridpush_drake.dynamics.physics import Regime
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.scene.simulation import simulate_together
@@ -39,6 +50,7 @@ from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.push_constraints import make_body
+from gridpush_drake.planning.pushed_object import make_model
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush
 
@@ -54,6 +66,9 @@ FALLEN_TILT = np.radians(10)
 
 WORLD_REGIME: Regime = "quasi_static"
 """Regime in which `SimulatedWorld` moves its objects."""
+
+STEERED_STEP = 0.0005
+"""Length of a steered finger's path in a step, m: a fifth of what the search for its way takes."""
 
 TRAVEL_SPEED = 0.25
 """Speed of the finger between two pushes, m/s."""
@@ -168,6 +183,24 @@ class PushWorld(Protocol):
     @property
     def truth(self) -> WorldTruth:
         """What is true of the objects now, for judges only."""
+        ...
+
+
+@runtime_checkable
+class SteeredWorld(PushWorld, Protocol):
+    """A world in which the finger can be moved bit by bit, too, as a controller steers it."""
+
+    def steer(self, begin: Array, end: Array, duration: float, radius: float) -> None:
+        """Moves a finger evenly between two places, and the object as far as it is touched.
+
+        The object keeps the motion that it has: the next piece goes on where this one ends.
+
+        Args:
+            begin: (2,) where the finger's center is, W, m.
+            end: (2,) where it is to be, W, m.
+            duration: time for this, s.
+            radius: of the finger, m.
+        """
         ...
 
 
@@ -384,6 +417,9 @@ class SimulatedWorld(TrackedWorld):
         """
         self.bodies = bodies
         self.surface = surface
+        # Of a finger that is steered: its models by their radius, and what the last piece left.
+        self._models: dict[float, PushedModel] = {}
+        self._state = np.zeros(STATE_SIZE)
         self._supports = [
             None if surface is None else CenterOfMassSupport(obj, center, surface)
             for obj, center in zip(
@@ -400,10 +436,12 @@ class SimulatedWorld(TrackedWorld):
 
     def do_put(self, pose: Array) -> Array:
         """Returns the pose itself: an object rests wherever it lies."""
+        self._state[:] = 0.0
         return pose
 
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
         """Simulates a push of the objects that have not fallen, from a pose, m and rad."""
+        self._state[:] = 0.0
         times = make_path_times(push, WORLD_REGIME)
         if pose.ndim == 1:
             motion = simulate(self.bodies, push, pose, times=times, regime=WORLD_REGIME)
@@ -421,6 +459,27 @@ class SimulatedWorld(TrackedWorld):
             if support is not None and not fell_now[b]:
                 fell_now[b] = support.falls(poses[:, b])
         return WorldMotion(times=times, poses=poses, fell=fell_now)
+
+    def steer(self, begin: Array, end: Array, duration: float, radius: float) -> None:
+        """Moves a finger that pushes the only object; see `SteeredWorld.steer`.
+
+        The motion is quasi-static, and the table has no edge.
+
+        Raises:
+            PlanningError: there are several objects.
+        """
+        if len(self.bodies) > 1:
+            raise PlanningError("steer: there are several objects; expected one")
+        model = self._models.get(radius)
+        if model is None:
+            obj, params = self.bodies.obj, self.bodies.params
+            model = make_model(obj, params, radius, self.bodies.physics, approximate=False)
+            model = self._models[radius] = model._replace(step=STEERED_STEP)
+        state = self._state
+        state[X : THETA + 1] = self._pose
+        state[TIP_X : TIP_Y + 1] = begin
+        follow_tip(model, state, end[None])
+        self._pose = state[X : THETA + 1].copy()
 
     def _shift_loads(self, push: Push, poses: Array) -> NDArray[np.bool_]:
         """Simulates a motion (T+1, N, 3) anew where one object alone moved over the edge.

@@ -17,7 +17,6 @@ from gridpush_drake.identification.absolute.estimate import (
     AbsoluteEstimate,
     TiltingLine,
 )
-from gridpush_drake.identification.model_check import describe_center_conflict
 from gridpush_drake.identification.prediction import (
     ErrorSummary,
     calc_final_errors,
@@ -25,6 +24,7 @@ from gridpush_drake.identification.prediction import (
     summarize_errors,
 )
 from gridpush_drake.identification.result import Identification, IdentificationStatus
+from gridpush_drake.identification.sentences import describe_center_conflict
 from gridpush_drake.identification.statistics.outliers import remove_outliers
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import speak_name

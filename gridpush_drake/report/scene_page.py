@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gridpush_drake.dynamics.scene.simulation import simulate_together
-from gridpush_drake.identification.joint_result import JointIdentification
+from gridpush_drake.identification.multi_object.joint_result import JointIdentification
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import count
 from gridpush_drake.objects.parameters import CellParameters

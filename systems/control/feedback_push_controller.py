@@ -22,8 +22,8 @@ from gridpush_drake.planning.feedback.follow_options import (
 from gridpush_drake.planning.feedback.pose_path import PosePath
 from gridpush_drake.planning.feedback.pose_track import TrackOptions
 from gridpush_drake.planning.feedback.push_follower import PushFollower
-from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.systems.base.object_controller import AbstractStateSystem
 
 SAMPLE_PERIOD = 0.01

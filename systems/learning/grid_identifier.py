@@ -9,7 +9,7 @@ one than was learned, and what was seen before is not learned from any more.
 
 If the force on the tip is measured, it is in the log, too. If the object is weighed, the estimate
 is made in absolute numbers at once, and then all pushes are learned from once more with the
-weighings (`identification.tilt_tests.weighed_learning`), as `gridpush identify --weighings` does.
+weighings, as `gridpush identify --weighings` does.
 """
 
 from collections.abc import Callable
@@ -28,15 +28,14 @@ from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
+from gridpush_drake.identification.fit.learning_task import LearningMethod
 from gridpush_drake.identification.innovation import InnovationRecord
-from gridpush_drake.identification.learning import METHOD_NAMES, describe_prior, identify
+from gridpush_drake.identification.learning import describe_prior, identify
+from gridpush_drake.identification.methods import find_method
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
-from gridpush_drake.identification.statistics.friction_gradient import HeldFriction
 from gridpush_drake.identification.statistics.outliers import remove_outliers
 from gridpush_drake.identification.statistics.problem import PushProblem
-from gridpush_drake.identification.tilt_tests.weighed_learning import learn_with_mass_tests
 from gridpush_drake.identification.tilt_tests.weighed_model import estimate_masses
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
@@ -67,15 +66,12 @@ class Estimate:
     """An identification, with what is calculated from it once for the ports.
 
     Attributes:
-        pushed: the identification from pushes alone; before anything was learned, the prior in the
-            same form.
-        found: the same with the weighings, where there are any.
+        found: the identification; before anything was learned, the prior in the same form.
         center_of_mass: (2,) estimated center of mass p_BBcm, m.
         center_of_mass_covariance: (2, 2) covariance of the center of mass, in B, m².
         loss: mean cell error of the pushes learned from, m; NaN if there are none.
     """
 
-    pushed: Identification
     found: Identification
     center_of_mass: Array
     center_of_mass_covariance: Array
@@ -197,8 +193,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         obj: GridObject,
         period: float = DEFAULT_PERIOD,
         engaged_below: float = SegmenterOptions.engaged_below,
-        method: str = "default",
-        ensemble: MapEnsemble | None = None,
+        method: str | LearningMethod = "default",
         max_learning_pushes: int | None = None,
         regime: Regime | None = None,
         seed: int = 0,
@@ -218,8 +213,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             obj: the object.
             period: time between two samples, s.
             engaged_below: if the tip's center is lower than this, it can touch the object, m.
-            method: one of `identify.METHODS`.
-            ensemble: the default method with other settings.
+            method: a method of `identify`, or its name.
             max_learning_pushes: number of pushes, the first ones, that are learned from; later ones
                 are only logged. None for all.
             regime: takes the place of the one in `physics`; see `identify`.
@@ -245,10 +239,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         Raises:
             IdentificationError, PlanningError, SimulationError: an argument is out of range.
         """
-        if method not in METHOD_NAMES:
-            raise IdentificationError(
-                f"method is {method!r}; expected one of {', '.join(METHOD_NAMES)}"
-            )
+        found_method = find_method(method)
         used = make_physics(physics, regime)
         if not (np.isfinite(period) and period > 0):
             raise IdentificationError(f"period is {period!r}; expected a positive number (s)")
@@ -269,9 +260,8 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         self._segmenter = replace(segmenter or SegmenterOptions(), engaged_below=engaged_below)
         self._record = record or RecordOptions()
         self._learning: dict[str, Any] = {
-            "method": method,
+            "method": found_method,
             "seed": seed,
-            "ensemble": ensemble,
             "progress": progress,
         }
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
@@ -283,14 +273,14 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         # What is held before any push takes a fifth of a station's making, and not every user of
         # this system looks at it: it is made when an output first shows it.
         self._declare_outputs(
-            cache(lambda: _make_estimate(describe_prior(obj, ensemble, seed, used), None))
+            cache(lambda: _make_estimate(describe_prior(obj, found_method, seed, used), None))
         )
 
     def Learn(
         self,
         log: PushLog,
         start: Identification | None = None,
-        friction: HeldFriction | None = None,
+        weighings: MassTestLog | None = None,
     ) -> Identification:
         """Identifies the object from a log as the system does when a push ends.
 
@@ -299,11 +289,10 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         Args:
             log: the log; only the pushes that `select` takes of it are learned from.
             start: the identification at which learning begins; None for the prior.
-            friction: friction coefficients that are held, as weighings told them; None for the
-                prior's.
+            weighings: presses and lifts of the object; None where there are none.
         """
         chosen = self.select(log)
-        return identify(self._model, chosen, start=start, friction=friction, **self._learning)
+        return identify(self._model, chosen, start=start, weighings=weighings, **self._learning)
 
     def LearnAll(self, context: Context) -> Identification | None:
         """Learns from all pushes and weighings so far, at once, and leaves the outputs alone.
@@ -389,7 +378,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         before = state.estimate
         state = replace(state, weighings=log)
         try:
-            estimate = _add_weighings(before.pushed, state.counting_mass_tests, before)
+            estimate = _add_weighings(before, state.counting_mass_tests)
         except UNUSABLE_ERRORS as error:
             return replace(state, message=f"The weighings were not learned from: {error}.")
         return replace(state, estimate=estimate)
@@ -458,15 +447,12 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         # If the last push is not among them, the estimate would be the one that is there.
         if not len(chosen) or (chosen[-1] is not log[-1] and not again):
             return replace(state, considered=state.considered + 1), None
-        start = state.estimate.pushed if state.estimate is not None and self.warm_start else None
+        start = state.estimate.found if state.estimate is not None and self.warm_start else None
         # What was learned of another object is no place to begin at.
         if start is not None and forgotten and left_out & set(start.push_names):
             start = None
-        holds_friction = self._learning["method"] == "default"
         weighings = state.counting_mass_tests
-        return state, partial(
-            _learn_from, weakly(self.Learn), chosen, start, weighings, holds_friction
-        )
+        return state, partial(_learn_from, weakly(self.Learn), chosen, start, weighings)
 
     def _take_answer(
         self, state: IdentifierState, answer: WorkerResult, asked: float
@@ -484,7 +470,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             estimate = answer.value
             message = ""
             try:
-                estimate = _add_weighings(estimate.pushed, state.counting_mass_tests, estimate)
+                estimate = _add_weighings(estimate, state.counting_mass_tests)
             except UNUSABLE_ERRORS as error:
                 message = f"The weighings were not learned from: {error}."
             return replace(state, estimate=estimate, learned_at=asked, message=message)
@@ -497,14 +483,10 @@ def _learn_from(
     log: PushLog,
     start: Identification | None,
     weighings: MassTestLog,
-    holds_friction: bool,
 ) -> Estimate | str:
     """Learns from a log; returns the estimate, or what is wrong with the last push."""
     try:
-        pushed, _ = learn_with_mass_tests(
-            learn, log, weighings, start=start, holds_friction=holds_friction
-        )
-        return _make_estimate(pushed, log)
+        return _make_estimate(learn(log, start, weighings), log)
     except UNUSABLE_ERRORS as error:
         return str(error)
 
@@ -518,30 +500,22 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
     """
     # How far off the pushes that were learned from end, without what was refused of them.
     loss = np.nan
-    if log is not None and found.push_names:
-        used = remove_outliers(log, found.outliers)
-        used = used.subset([i for i, seen in enumerate(used) if seen.name in found.push_names])
-        problem = PushProblem(found.obj, used, found.params, found.physics)
-        residuals = problem.residuals(problem.unknowns(found.params))
+    pushed = found.unweighed
+    if log is not None and pushed.push_names:
+        used = remove_outliers(log, pushed.outliers)
+        used = used.subset([i for i, seen in enumerate(used) if seen.name in pushed.push_names])
+        problem = PushProblem(pushed.obj, used, pushed.params, pushed.physics)
+        residuals = problem.residuals(problem.unknowns(pushed.params))
         loss = float(problem.calc_cell_errors(residuals).mean())
     center, covariance = calc_center_of_mass(found)
     return Estimate(
-        pushed=found,
-        found=found,
-        center_of_mass=center,
-        center_of_mass_covariance=covariance,
-        loss=loss,
+        found=found, center_of_mass=center, center_of_mass_covariance=covariance, loss=loss
     )
 
 
-def _add_weighings(pushed: Identification, log: MassTestLog, before: Estimate) -> Estimate:
-    """Returns the estimate with weighings, if there are any.
-
-    Args:
-        pushed: the identification from pushes alone.
-        log: the weighings.
-        before: the estimate from these pushes, with other weighings or none.
-    """
+def _add_weighings(before: Estimate, log: MassTestLog) -> Estimate:
+    """Returns an estimate with weighings, if there are any, in the place of those that it has."""
+    pushed = before.found.unweighed
     found = estimate_masses(pushed, log) if len(log) else pushed
     center, covariance = calc_center_of_mass(found)
     return replace(before, found=found, center_of_mass=center, center_of_mass_covariance=covariance)

@@ -40,7 +40,7 @@ from gridpush_drake.station.campaign.episodes import (
 from gridpush_drake.station.robot.robot import make_robot_directives
 from gridpush_drake.station.schema.scenario import PushScenario
 from gridpush_drake.station.schema.scenario_file import format_scenario, read_scenario
-from gridpush_drake.station.tasks.registry import TASK_KINDS, TaskName
+from gridpush_drake.station.tasks.registry import TASK_KINDS
 from gridpush_drake.station.tasks.scene_task import SceneTaskRecord
 from gridpush_drake.station.tasks.task import TaskStatus, TaskStep
 from gridpush_drake.systems.base.messages import PushCommand
@@ -151,10 +151,6 @@ def test_every_failure_has_its_reason_and_its_replay():
         app.command("demo")(demo)
         parsed = CliRunner().invoke(app, [*shlex.split(replay)[2:], "--help"])
         assert parsed.exit_code == 0, parsed.output
-
-
-def test_there_are_the_demos_tasks():
-    assert set(TASK_KINDS) == set(TaskName)
 
 
 def test_what_cannot_be_run_says_why(monkeypatch):

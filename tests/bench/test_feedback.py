@@ -21,14 +21,15 @@ from gridpush_drake.bench.steering.runs import (
 from gridpush_drake.bench.steering.worlds import (
     LCP_WORLD,
     POSE_SENSOR,
-    MujocoFingerWorld,
     draw_poke,
 )
 from gridpush_drake.bench.study import Done
+from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
 from gridpush_drake.bench.truth.sets import FOUNDATION_KIND, draw_masses, make_body
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import make_direction, rotate
 from gridpush_drake.identification.model import Model
+from gridpush_drake.planning.feedback.steered_finger import SteeredFinger
 from gridpush_drake.planning.world import SimulatedWorld
 
 NAME = "combination_wrench"
@@ -82,17 +83,18 @@ def test_a_rod_in_mujoco_is_steered_and_takes_the_body_along():
     obj, truth = draw_masses(NAME, rng)
     body = make_body(FOUNDATION_KIND, obj, truth, rng)
     left = float(obj.outline.bounds[0])
-    world = MujocoFingerWorld(body, np.zeros(3), (left - 0.012, 0.0), 0.008, POSE_SENSOR, 0)
-    start = world.pose
-    came = [seen for _ in range(25) for seen in world.move((0.1, 0.0))]
-    assert world.tip == pytest.approx([left + 0.038, 0.0])
-    assert np.hypot(*(world.pose - start)[:2]) > 0.02
+    world = MujocoWorld(body, 0.008, pose=np.zeros(3))
+    finger = SteeredFinger(world, (left - 0.012, 0.0), 0.008, POSE_SENSOR)
+    start = finger.pose
+    came = [seen for _ in range(25) for seen in finger.move((0.1, 0.0))]
+    assert finger.tip == pytest.approx([left + 0.038, 0.0])
+    assert np.hypot(*(finger.pose - start)[:2]) > 0.02
     # late, in order, and not all of them
-    assert all(seen.time <= world.time - POSE_SENSOR.delay + 1e-9 for seen in came)
+    assert all(seen.time <= finger.time - POSE_SENSOR.delay + 1e-9 for seen in came)
     assert 10 <= len(came) < 25
     assert np.diff([seen.time for seen in came]).min() > 0
-    world.disturb((0.1, 0.2, 0.3))
-    assert world.pose == pytest.approx([0.1, 0.2, 0.3], abs=1e-3)
+    world.put((0.1, 0.2, 0.3))
+    assert finger.pose == pytest.approx([0.1, 0.2, 0.3], abs=1e-3)
 
 
 def test_a_poke_moves_the_object_and_is_seen():

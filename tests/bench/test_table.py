@@ -10,7 +10,7 @@ from gridpush_drake.bench.pregrasp.exploring import AIM_NAMES, POKE_LENGTHS, Exp
 from gridpush_drake.bench.pregrasp.world import PreGraspOutcome
 from gridpush_drake.bench.timing import measure, one_core
 from gridpush_drake.bench.worlds import plant
-from gridpush_drake.identification.learning import METHOD_NAMES
+from gridpush_drake.identification.methods import METHOD_NAMES
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.report.table import Mean, Table
 from gridpush_drake.station.campaign.episodes import EpisodeOutcome

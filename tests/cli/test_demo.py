@@ -20,7 +20,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.schema import scenario_file
 from gridpush_drake.station.schema.scenario_file import read_scenario
-from gridpush_drake.station.tasks.registry import TASK_KINDS, TaskName
+from gridpush_drake.station.tasks.registry import TASK_KINDS
 from gridpush_drake.station.tasks.task_kind import TaskKind
 from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
 from tests.helpers.renderer import require_renderer
@@ -31,8 +31,7 @@ MIN_SEEN = 500
 SHORT = "object: {object}\npokes: {{count: {count}, test_count: {test_count}, speed: 0.06}}\n"
 
 
-def test_every_task_of_the_command_is_there_and_begins_its_files_with_a_report():
-    assert set(TASK_KINDS) == set(TaskName)
+def test_every_task_begins_its_files_with_a_report():
     for task in TASK_KINDS.values():
         assert task.files[0] == "report.html"
         assert {"recording.html", "scenario.yaml", "truth.yaml"} <= set(task.files)
@@ -272,7 +271,7 @@ def test_weighs_what_it_is_told_nothing_of_and_lifts_it(gridpush, tmp_path):
     assert offline.read_text() == (out / "model.yaml").read_text()
 
 
-@pytest.mark.parametrize("task", list(TaskName))
+@pytest.mark.parametrize("task", TASK_KINDS)
 @pytest.mark.parametrize(
     ("more", "renders", "kind"),
     [
@@ -298,7 +297,7 @@ def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, r
         scenario_file.write_scenario(tmp_path / "scenario.yaml", TASK_KINDS[task].make_scenario())
     outcome = gridpush("demo", "--task", task, "--out", tmp_path / "demo", *more)
     # with several objects, and where the arm hides the object, the robot is told all poses
-    told = task in {TaskName.follow, TaskName.separate, TaskName.rearrange, TaskName.fetch}
+    told = task in {"follow", "line", "separate", "rearrange", "fetch"}
     assert taken == ["ideal" if told else kind]
     assert ("libegl1" in outcome.err) == (not renders and not told)
     assert not (tmp_path / "demo").exists()
@@ -341,9 +340,7 @@ def test_one_whose_place_is_taken_meanwhile_keeps_what_it_made_beside_it(
 
     monkeypatch.setattr(TaskKind, "run", take)
     monkeypatch.setattr(demo, "write_files", write)
-    monkeypatch.setattr(
-        TASK_KINDS[TaskName.pregrasp], "summarize", lambda record: {"status": "held"}
-    )
+    monkeypatch.setattr(TASK_KINDS["pregrasp"], "summarize", lambda record: {"status": "held"})
     outcome = gridpush("demo", "--camera", "ideal", "--out", out, "--json")
     assert outcome.code == 0
     kept = tmp_path / "demo-2"

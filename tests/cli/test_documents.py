@@ -21,9 +21,9 @@ from gridpush_drake.cli.main import app
 from gridpush_drake.cli.shell.lazy_group import LazyCommand
 from gridpush_drake.cli.shell.ros_args import split_ros_arguments
 from gridpush_drake.dynamics.kernels.friction.laws import FRICTION_LAWS
-from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import MissingExtraError, PushLogError
-from gridpush_drake.identification.baselines.search import Bounds, SearchStatus, run_search
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.pushes.push_csv import PUSH_COLUMNS
@@ -188,13 +188,11 @@ def test_the_importer_is_one(tmp_path, block, monkeypatch):
 
 
 def test_the_method_is_one(monkeypatch):
-    method = run_fragment(6, monkeypatch)["Powell"]()
+    method = run_fragment(6, monkeypatch)["method"]
     made = make_pushed_block()
-    found = run_search(
-        method, made.obj, made.log, made.start, Bounds.around(made.obj, made.start), budget=60, seed=0,
-        physics=QUASI_STATIC,
-    )  # fmt: skip
-    assert found.status == SearchStatus.BUDGET_SPENT
+    found = identify(Model(made.obj), made.log, method, budget=60, regime="quasi_static")
+    assert found.method == "powell"
+    assert found.message.startswith("The search ended after 60 simulations: budget spent.")
     assert found.history[-1].loss < found.history[0].loss
 
 
@@ -320,9 +318,10 @@ def test_the_commands_are_the_commands(name):
 def test_the_tree_is_the_tree():
     if not (ROOT / "gridpush_drake").is_dir():
         pytest.skip("the tests stand beside an installed package, not in its checkout")
-    folders = set(re.findall(r"^ {6}(\w+)/ ", TEXTS["docs/reference/layout.md"], re.MULTILINE))
+    package = TEXTS["docs/reference/layout.md"].partition("Beside it")[0]
+    folders = set(re.findall(r"^\| `(\w+)/`", package, re.MULTILINE))
     packages = {path.parent.name for path in (ROOT / "gridpush_drake").glob("*/__init__.py")}
-    assert folders | {"systems"} == packages
+    assert folders - {"models"} == packages
 
 
 @pytest.mark.parametrize("name", sorted(TEXTS))

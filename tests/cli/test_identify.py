@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from gridpush_drake.cli.learn import identify as command
-from gridpush_drake.identification.learning import METHOD_NAMES
+from gridpush_drake.identification.methods import METHOD_NAMES
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.pushes.push_log import PushLog
 

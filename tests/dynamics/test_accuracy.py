@@ -163,7 +163,7 @@ def test_an_overlap_is_undone_by_a_pusher_that_only_rests():
     np.testing.assert_allclose(motion.final_pose, [overlap, 0.0, 0.0], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("share", [1e-9, 1e-6, 1e-4, 1e-2])
+@pytest.mark.parametrize("fraction", [1e-9, 1e-6, 1e-4, 1e-2])
 @pytest.mark.parametrize("regime", REGIMES)
 def test_wanted_times_just_after_a_step_change_nothing(regime, fraction):
     """In a step much shorter than the others what is left of an overlap, or a rounding error, would be a speed."""

@@ -151,7 +151,7 @@ def test_energy_never_rises_without_a_push(law, spin):
         assert spin == "none" or energy[-1] < 1e-9 * energy[0]
 
 
-@pytest.mark.parametrize("share, moves", [(0.99, False), (1.01, True)])
+@pytest.mark.parametrize("fraction, moves", [(0.99, False), (1.01, True)])
 def test_below_the_static_limit_a_body_does_not_creep(fraction, moves):
     """Coulomb: at rest up to mu m g, or up to the moment of all cells' friction. Ten seconds at 99 % of either."""
     obj = make_shape("square", 100)
@@ -164,7 +164,7 @@ def test_below_the_static_limit_a_body_does_not_creep(fraction, moves):
     assert (way > 0.1) if moves else (way < 1e-6)
 
 
-@pytest.mark.parametrize("share, moves", [(0.99, False), (1.01, True)])
+@pytest.mark.parametrize("fraction, moves", [(0.99, False), (1.01, True)])
 def test_below_the_limit_of_an_eccentric_force_a_body_does_not_creep(fraction, moves):
     """The limit is found by bisection on one step from rest: the reference cone program says what moves."""
     from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_socp

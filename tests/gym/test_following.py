@@ -95,11 +95,11 @@ def play_follower(env, seed):
     )
     total = 0.0
     ended = False
-    follower.add_tip(episode.world.time, episode.world.tip)
+    follower.add_tip(episode.finger.time, episode.finger.tip)
     while not ended:
         for each in episode.came:
             follower.add_pose(each.time, each.pose)
-        decision = follower.decide(episode.world.time, episode.world.tip)
+        decision = follower.decide(episode.finger.time, episode.finger.tip)
         _, reward, won, cut_off, info = env.step(decision.velocity / STEERED_FINGER.walking_speed)
         total += reward
         ended = won or cut_off

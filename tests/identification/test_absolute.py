@@ -14,9 +14,9 @@ from gridpush_drake.identification.absolute.estimate import (
     MassProblem,
     PoseNoise,
     TiltingLine,
-    describe_sources,
     fit_absolute,
 )
+from gridpush_drake.identification.statements import describe_sources
 from gridpush_drake.identification.tilt_tests.outliers import (
     estimate_absolute,
     get_support_distance,

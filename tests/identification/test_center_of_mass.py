@@ -4,8 +4,8 @@ import numpy as np
 
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.model_check import describe_poor_fit
 from gridpush_drake.identification.result import calc_center_of_mass
+from gridpush_drake.identification.sentences import describe_poor_fit
 from gridpush_drake.identification.statistics.posterior import Posterior
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape

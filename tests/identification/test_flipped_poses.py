@@ -8,7 +8,7 @@ from shapely import affinity
 
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import PushLogWarning
-from gridpush_drake.identification.flipped_poses import find_symmetry, turn_poses
+from gridpush_drake.identification.fit.flipped_poses import find_symmetry, turn_poses
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject

@@ -160,7 +160,7 @@ def test_a_push_that_is_too_short_to_become_steady_says_nothing() -> None:
     assert with_short.friction == pytest.approx(alone.friction, rel=1e-9)
 
 
-@pytest.mark.parametrize("share", [0.2, -0.2])
+@pytest.mark.parametrize("fraction", [0.2, -0.2])
 def test_the_weight_that_the_finger_carries_does_not_rub(fraction: float) -> None:
     obj, truth = make_case()
     right = GRAVITY * truth.mass @ truth.friction

@@ -205,7 +205,7 @@ def learn_round_bodies(profile, left_out: str) -> tuple[list[float], list[float]
         found = identify(Model(obj), train)
         with_all.append(calc_mean_cell_error(Model(obj, found.params, found.physics), test))
         weights += [one.weight for one in found.hypotheses if one.name == left_out]
-        found = identify(Model(obj), train, ensemble=MapEnsemble(hypotheses=rest))
+        found = identify(Model(obj), train, method=MapEnsemble(hypotheses=rest))
         without.append(calc_mean_cell_error(Model(obj, found.params, found.physics), test))
     return with_all, without, weights
 

@@ -7,9 +7,9 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import IdentificationError, PushLogError
-from gridpush_drake.identification.joint_fit import identify_together
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.multi_object.joint_fit import JointSmoothFields
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.identification.result import IdentificationStatus
 from gridpush_drake.identification.statistics.friction_gradient import HeldFriction
@@ -18,6 +18,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.weighings import LiftTest, MassTestLog
 from gridpush_drake.report.scene_page import explain_scene, tell_scene
 from tests.helpers.scene_cases import Layout
 from tests.helpers.shapes import rectangle
@@ -71,7 +72,7 @@ def test_two_objects_are_learned_together():
     truth = make_truth()
     log = PushLog(tuple(push_scene(truth, seed) for seed in range(6)), names=("block 0", "block 1"))
     held_out = [push_scene(truth, seed, noise=0.0) for seed in range(100, 106)]
-    found = identify_together(Model(truth.objects), log, noise=NOISE, amplitudes=(0.3, 0.7))
+    found = identify(Model(truth.objects), log, JointSmoothFields(NOISE, (0.3, 0.7)))
     even = Model(truth.objects)
     learned = calc_errors(found, held_out)
     before = calc_errors(even, held_out)
@@ -102,10 +103,10 @@ def test_a_pusher_that_is_held_to_slip_can_be_learned_to_rub():
         replace(obj, prior=replace(obj.prior, contact_friction=0.0)) for obj in truth.objects
     ]
     log = PushLog(tuple(push_scene(truth, seed) for seed in range(3)), names=("block 0", "block 1"))
-    found = identify_together(Model(objects), log, noise=NOISE, amplitudes=(0.3,))
+    found = identify(Model(objects), log, JointSmoothFields(NOISE, (0.3,)))
     assert np.isfinite(found.z).all()
     # what it begins with is small, and pushes may still raise it
-    begin = identify_together(Model(objects), log, noise=(10.0, 10.0, 10.0), amplitudes=(0.3,))
+    begin = identify(Model(objects), log, JointSmoothFields((10.0, 10.0, 10.0), (0.3,)))
     for before, after in zip(begin.parameters, found.parameters, strict=True):
         assert before.contact_friction == pytest.approx(0.05, rel=0.01)
         assert after.contact_friction > 0.05
@@ -119,12 +120,18 @@ def test_what_is_refused():
     with pytest.raises(PushLogError, match=r"of 2 objects .* expected 1"):
         identify(Model(truth.objects[0]), log)
     with pytest.raises(IdentificationError, match="noise"):
-        identify_together(Model(truth.objects), log, noise=(0.0, 1.0, 1.0))
+        JointSmoothFields(noise=(0.0, 1.0, 1.0))
 
 
 @pytest.mark.parametrize(
     "options",
-    [{"method": "cma_es"}, {"regime": "inertial"}, {"budget": 5}, {"friction": HeldFriction(None)}],
+    [
+        {"method": "cma_es"},
+        {"regime": "inertial"},
+        {"budget": 5},
+        {"friction": HeldFriction(None)},
+        {"weighings": MassTestLog((), (LiftTest(np.zeros(3), np.zeros(2), 6.0),))},
+    ],
 )
 def test_what_is_for_one_object_alone_is_refused(options):
     truth = make_truth()
@@ -142,7 +149,7 @@ def test_a_push_that_no_loads_explain_is_named_and_spoils_nothing():
     pushes[0] = replace(pushes[0], poses_observed=moved)
     held_out = [push_scene(truth, seed, noise=0.0) for seed in range(100, 104)]
     log = PushLog(tuple(pushes), names=("block 0", "block 1"))
-    found = identify_together(Model(truth.objects), log, noise=NOISE, amplitudes=(0.7,))
+    found = identify(Model(truth.objects), log, JointSmoothFields(NOISE, (0.7,)))
     assert found.unexplained == ("push 0",)
     assert found.noise_scale < 2.0
     assert calc_errors(found, held_out).mean() < 1e-3
@@ -160,10 +167,10 @@ def test_loads_stay_where_the_model_can_be_solved_though_nothing_explains_the_lo
         for seen in (push_scene(truth, seed) for seed in range(3))
     ]
     log = PushLog(tuple(pushes), names=("block 0", "block 1"))
-    found = identify_together(Model(truth.objects), log, noise=NOISE, amplitudes=(0.7, 1.5))
+    found = identify(Model(truth.objects), log, JointSmoothFields(NOISE, (0.7, 1.5)))
     assert len(found.unexplained) == 3
     assert np.isfinite(found.covariance).all()
-    even = identify_together(Model(truth.objects), log, noise=(1e3, 1e3, 1e3), amplitudes=(0.7,))
+    even = identify(Model(truth.objects), log, JointSmoothFields((1e3, 1e3, 1e3), (0.7,)))
     assert np.abs(found.z - even.z).max() < MAX_CHANGE + 0.1
     statuses = {model.status for model in found.parts}
     assert statuses == {IdentificationStatus.EXPLAINS_LITTLE}
@@ -176,14 +183,14 @@ def test_it_is_said_what_pushes_of_one_object_alone_do_not_tell():
     motion = apart.simulate(push)
     seen = ObservedPush("push", push, apart.poses, motion.times[-1:], motion.poses[-1:])
     log = PushLog((seen,), names=("block 0", "block 1"))
-    found = identify_together(Model(truth.objects), log, noise=NOISE, amplitudes=(0.7,))
+    found = identify(Model(truth.objects), log, JointSmoothFields(NOISE, (0.7,)))
     assert not found.shows_load_ratio(1, 0)
     assert not found.shows_pair_friction().any()
     document = tell_scene(found, log.names)
     assert document["pair_friction"][0]["told"] is False
     assert document["objects"][1]["load_ratio_told"] is False
     together = PushLog(tuple(push_scene(truth, seed) for seed in range(2)), names=log.names)
-    found = identify_together(Model(truth.objects), together, noise=NOISE, amplitudes=(0.7,))
+    found = identify(Model(truth.objects), together, JointSmoothFields(NOISE, (0.7,)))
     assert found.shows_load_ratio(1, 0)
 
 
@@ -191,16 +198,12 @@ def test_learning_goes_on_from_what_was_learned():
     truth = make_truth()
     pushes = tuple(push_scene(truth, seed) for seed in range(5))
     names = ("block 0", "block 1")
-    options = {"noise": NOISE, "amplitudes": (0.7,)}
-    few = identify_together(Model(truth.objects), PushLog(pushes[:4], names=names), **options)
-    cold = identify_together(Model(truth.objects), PushLog(pushes, names=names), **options)
-    warm = identify_together(
-        Model(truth.objects), PushLog(pushes, names=names), start=few, **options
-    )
+    method = JointSmoothFields(NOISE, (0.7,))
+    few = identify(Model(truth.objects), PushLog(pushes[:4], names=names), method)
+    cold = identify(Model(truth.objects), PushLog(pushes, names=names), method)
+    warm = identify(Model(truth.objects), PushLog(pushes, names=names), method, start=few)
     assert warm.simulations < cold.simulations
     assert abs(warm.evidence[0] - cold.evidence[0]) < 1.0
     third = GridObject.from_outline(rectangle(0.10, 0.05), max_cells=30, name="block 0")
     with pytest.raises(IdentificationError, match=r"start: has .* unknowns; expected"):
-        identify_together(
-            Model((third, truth.objects[1])), PushLog(pushes, names=names), start=few, **options
-        )
+        identify(Model((third, truth.objects[1])), PushLog(pushes, names=names), method, start=few)

@@ -7,10 +7,12 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import IdentificationError, SimulationError
 from gridpush_drake.identification.fit.hypotheses import SmoothField, TwoParts
 from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
-from gridpush_drake.identification.learning import METHOD_NAMES, describe_prior, identify
+from gridpush_drake.identification.learning import describe_prior, identify
+from gridpush_drake.identification.methods import METHOD_NAMES
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.model_check import judge_fit
+from gridpush_drake.identification.model_check import check_fit
 from gridpush_drake.identification.prediction import calc_pose_error, predict
+from gridpush_drake.identification.sentences import describe_fit_check
 from gridpush_drake.identification.statistics.problem import resolve_physics
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
@@ -83,9 +85,7 @@ def test_default_stands_on_points_and_searches_on_whole_cells() -> None:
     found = identify(Model(obj), log)
     assert found.params.patch_ratio == pytest.approx(1 / np.sqrt(obj.n))
     assert {draw.patch_ratio for draw in found.draws(3)} == {found.params.patch_ratio}
-    assert (
-        identify(Model(obj), log, ensemble=MapEnsemble(patch_ratio=0.5)).params.patch_ratio == 0.5
-    )
+    assert identify(Model(obj), log, method=MapEnsemble(patch_ratio=0.5)).params.patch_ratio == 0.5
     assert identify(Model(obj), log, method="random_search", budget=4).params.patch_ratio == 1.0
 
 
@@ -241,7 +241,7 @@ def test_a_fit_that_has_no_solution_is_an_error_that_asks_about_what_was_told() 
     obj = make_block()
     log, told = make_pokes(obj, make_uneven(obj), 1, 0), replace(obj.prior, push_height=0.02)
     with pytest.raises(IdentificationError, match=r"is pusher.height, 0.02 m, right\?"):
-        identify(Model(replace(obj, prior=told)), log, ensemble=Singular())
+        identify(Model(replace(obj, prior=told)), log, method=Singular())
 
 
 @pytest.mark.parametrize("patch_ratio", [1.0, 0.1])
@@ -267,15 +267,16 @@ def test_what_predicts_worse_than_an_even_object_is_not_called_learned() -> None
     obj = make_block()
     log = make_pokes(obj, CellParameters.uniform(obj), 5, 0, noise=(5e-4, 3.5e-3))
     found = identify(Model(obj), log)
-    assert found.status != "learned" or judge_fit(found, log) is None
+    assert found.status != "learned" or check_fit(found, log).status is None
     even = CellParameters.uniform(obj)
     x = obj.p_BC[:, 0] / obj.p_BC[:, 0].max()
     judged = {}
     for slope in (0.03, 1.0):
         tilted = replace(even, mass=even.mass * np.exp(slope * x))
         assert calc_error(obj, tilted, log) > calc_error(obj, even, log)
-        status, message = judge_fit(found.with_params(tilted), log)
-        judged[slope] = status
+        check = check_fit(found.with_params(tilted), log)
+        judged[slope] = check.status
+        message = describe_fit_check(check, obj.name)
         assert f"an even object by {1e3 * calc_error(obj, even, log):.1f} mm" in message
     # Worse by less than the noise of a pose it is no better; by more it should not be used.
     assert judged == {0.03: "prior_kept", 1.0: "explains_little"}

@@ -19,6 +19,7 @@ from gridpush_drake.identification.fit.hypotheses import (
     CENTER_STD,
     DEFAULT_HYPOTHESES,
     FIELD_AMPLITUDES,
+    LoadHypothesis,
     RigidBottom,
     SmoothField,
 )
@@ -49,7 +50,7 @@ def learn(mass_ratio: float, amplitudes: tuple[float, ...] | None = None):
     )
     fields = None if amplitudes is None else tuple(map(SmoothField, amplitudes))
     ensemble = MapEnsemble() if fields is None else MapEnsemble(hypotheses=fields)
-    return identify(Model(obj), make_pokes(obj, truth, 4, 5, noise=NOISE), ensemble=ensemble)
+    return identify(Model(obj), make_pokes(obj, truth, 4, 5, noise=NOISE), method=ensemble)
 
 
 def test_evidence_chooses_the_amplitude_that_the_pushes_ask_for() -> None:
@@ -259,12 +260,11 @@ def test_a_push_that_ends_far_off_is_not_explained_away_by_being_sensitive() -> 
 
 
 @dataclass(frozen=True)
-class HeavyRow:
+class HeavyRow(LoadHypothesis):
     """A hypothesis of a user's own: the cells beyond some x bear more than the others."""
 
     beyond: float
     name: str = "heavy row"
-    needs_pushes: bool = False
 
     def propose(self, setting):
         side = np.where(setting.obj.p_BC[:, 0] > self.beyond, 0.5, -0.5)
@@ -290,7 +290,7 @@ def test_a_hypothesis_of_ones_own_is_weighed_and_named() -> None:
         identify(
             Model(obj),
             log,
-            ensemble=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, HeavyRow(beyond))),
+            method=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, HeavyRow(beyond))),
         )
         for beyond in (0.03, -0.02)
     )
@@ -304,12 +304,43 @@ def test_a_hypothesis_of_ones_own_is_weighed_and_named() -> None:
     assert step == pytest.approx(np.log(8), abs=0.5)
 
 
+@dataclass(frozen=True)
+class OwnField(LoadHypothesis):
+    """A smooth field of a user's own."""
+
+    amplitude: float
+
+    @property
+    def name(self):
+        return f"own field {self.amplitude:g}"
+
+    @property
+    def field_amplitude(self):
+        return self.amplitude
+
+    def propose(self, setting):
+        return SmoothField(self.amplitude).propose(setting)
+
+
+def test_a_smooth_field_of_ones_own_is_fitted_as_those_that_are_shipped() -> None:
+    obj = make_shape("l_bracket", 20)
+    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 8.0, 1.0), np.full(obj.n, 0.4), 0.35)
+    log = make_pokes(obj, truth, 3, 5, noise=NOISE)
+    shipped, own = (
+        identify(Model(obj), log, MapEnsemble(hypotheses=tuple(map(kind, (3.0, 0.3, 1.5)))))
+        for kind in (SmoothField, OwnField)
+    )
+    assert [one.name for one in own.hypotheses] == [f"own field {a}" for a in ("0.3", "1.5", "3")]
+    np.testing.assert_array_equal(own.params.mass, shipped.params.mass)
+    np.testing.assert_array_equal(own.posterior.covariance, shipped.posterior.covariance)
+
+
 @pytest.mark.parametrize("alone", [RigidBottom(), SmoothField(1.5), HeavyRow(0.03)])
 def test_one_hypothesis_is_enough(alone) -> None:
     obj = make_shape("l_bracket", 20)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 8.0, 1.0), np.full(obj.n, 0.4), 0.35)
     log = make_pokes(obj, truth, 3, 5, noise=NOISE)
-    found = identify(Model(obj), log, ensemble=MapEnsemble(hypotheses=(alone,)))
+    found = identify(Model(obj), log, method=MapEnsemble(hypotheses=(alone,)))
     assert [one.name for one in found.hypotheses] == [alone.name]
     # On its corners alone the object explains its pushes poorly, and that is what is said.
     poor = isinstance(alone, RigidBottom)

@@ -54,7 +54,7 @@ def test_the_center_s_derivatives_agree_with_differences():
 
 
 def test_draws_keep_what_the_pushes_showed():
-    posterior = learn_center(make_prior(amplitude=MapEnsemble().widest.amplitude))
+    posterior = learn_center(make_prior(amplitude=MapEnsemble().widest.field_amplitude))
     known = posterior.calc_fraction() @ OBJ.p_BC
     fractions, _ = posterior.draw(400, seed=3)
     plain, _ = draw_normally(posterior, 400, seed=3)

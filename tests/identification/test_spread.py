@@ -156,7 +156,7 @@ def test_the_noise_that_a_fit_supposed_is_that_of_its_predictions() -> None:
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.02, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
     rough = NoiseModel(pose=0.008)
     found = identify(
-        Model(obj), make_pokes(obj, truth, 4, 1, noise=NOISE), ensemble=MapEnsemble(noise=rough)
+        Model(obj), make_pokes(obj, truth, 4, 1, noise=NOISE), method=MapEnsemble(noise=rough)
     )
     assert found.noise == replace(rough, friction_gradient=calc_gradient_std(obj.prior))
     assert found.noise_scale.pose == pytest.approx(found.noise_std / 0.008)

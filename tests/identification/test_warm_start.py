@@ -104,5 +104,5 @@ def test_prior_is_what_a_log_without_contact_gives() -> None:
     prior = describe_prior(obj)
     assert prior.status == "no_usable_pushes" and prior.push_names == () and prior.simulations == 0
     np.testing.assert_allclose(prior.params.mass, 1.0 / obj.n)
-    widest = MapEnsemble().widest.amplitude
+    widest = MapEnsemble().widest.field_amplitude
     np.testing.assert_allclose(np.diag(prior.posterior.covariance)[:-1].mean(), widest**2)

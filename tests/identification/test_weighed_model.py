@@ -1,6 +1,6 @@
 """A learned model whose object was weighed: what it says of cells, in files, and of draws."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -9,18 +9,20 @@ from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.absolute.estimate import CENTER_INDICES, LOG_FRICTION
 from gridpush_drake.identification.absolute.masses import tilt_to_center
+from gridpush_drake.identification.fit.learning_task import Abilities, Found, LearningTask
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import read_model, write_model
-from gridpush_drake.identification.result import calc_center_of_mass
-from gridpush_drake.identification.tilt_tests.weighed_learning import learn_with_mass_tests
+from gridpush_drake.identification.result import Identification, calc_center_of_mass
 from gridpush_drake.identification.tilt_tests.weighed_model import (
     _note_center_outside,
     calc_center_prior,
     estimate_masses,
 )
-from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import MassTestLog, TiltTest
 from gridpush_drake.report.page import list_numbers
 from tests.helpers.weighed_objects import Truth, make_problem
+from tests.identification.simulated_pokes import make_pokes
 from tests.identification.test_force_scale import MASS, learn, make_case
 
 SIZE = 0.3
@@ -159,31 +161,37 @@ def test_without_forces_the_friction_stays_as_supposed(learned, weighed):
     assert "forces of no push were measured" in unmoved.identifiability.statements[0]
 
 
-def test_without_weighings_the_pushes_are_learned_from_once(learned):
-    asked = []
+@dataclass
+class Remembered:
+    """A method of one's own: it finds the same model each time, and notes what it was asked."""
 
-    def learn(log, start=None, friction=None):
-        asked.append((log, start, friction))
-        return learned
+    model: Identification
+    abilities: Abilities
+    asked: list[LearningTask] = field(default_factory=list)
+    name: str = "remembered"
 
-    log = PushLog(())
-    assert learn_with_mass_tests(learn, log, MassTestLog(), start=learned) == (learned, learned)
-    assert asked == [(log, learned, None)]
+    def learn(self, task: LearningTask) -> Found:
+        self.asked.append(task)
+        return Found(self.model, task.screened)
 
 
-def test_a_method_that_cannot_hold_frictions_learns_from_the_pushes_once(learned):
-    asked = []
-
-    def learn(log, start=None, friction=None):
-        asked.append(friction)
-        return learned
+@pytest.mark.parametrize("holds_friction", [False, True])
+def test_pushes_are_learned_from_again_with_the_frictions_that_weighings_tell(
+    learned, holds_friction
+):
+    method = Remembered(learned, Abilities(holds_friction=holds_friction))
+    log = make_pokes(learned.obj, learned.params, 1, 0)
+    found = identify(Model(learned.obj), log, method, start=learned)
+    assert found.absolute is None and found.unweighed is found
+    assert [(task.starts, task.friction) for task in method.asked] == [(learned.starts, None)]
 
     press = TiltTest(np.zeros(3), np.array([0.08, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
-    weighings = MassTestLog((press,))
-    pushed, found = learn_with_mass_tests(learn, PushLog(()), weighings, holds_friction=False)
-    assert asked == [None] and pushed is learned and found.absolute.presses == 1
-    learn_with_mass_tests(learn, PushLog(()), weighings)
-    assert asked[1] is None and asked[2] is not None
+    found = identify(Model(learned.obj), log, method, weighings=MassTestLog((press,)))
+    assert found.absolute.presses == 1 and found.unweighed.params is learned.params
+    held = [task.friction for task in method.asked[1:]]
+    assert held[0] is None and len(held) == 1 + holds_friction
+    if holds_friction:
+        np.testing.assert_array_equal(held[1].coefficients, found.params.friction)
 
 
 def test_no_weighing_is_refused(learned):

@@ -103,7 +103,7 @@ def test_wait_and_leg_of_no_length():
 
 
 @pytest.mark.parametrize("segment", SEGMENTS)
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.5, 0.9])
+@pytest.mark.parametrize("fraction", [0.02, 0.3, 0.5, 0.9])
 def test_stop_is_the_same_motion_first_and_then_the_soonest_end(segment, fraction):
     t = fraction * segment.moving_time
     stopped = segment.stop_from(t)

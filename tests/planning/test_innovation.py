@@ -504,7 +504,7 @@ def test_a_center_that_was_weighed_is_not_in_doubt_after_slight_surprises(bounde
 def test_after_a_surprise_at_the_edge_what_is_learned_must_explain_the_push(bounded) -> None:
     pose = (0.84, 0.1, 0.6)
     found, log, _ = bounded
-    surprised = {"surprises": SLIGHT, "edge_surprises": 1}
+    surprised = {"innovations": SLIGHT, "edge_innovations": 1}
     # It was not learned from yet: the loop looks again, but not for ever.
     late = identify(Model(found.obj), log[:4])
     waiting = face_edge(pose, bounded, found=late, **surprised)

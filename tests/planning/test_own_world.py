@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +14,29 @@ from gridpush_drake.bench.pregrasp import experiments as pregrasp
 from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoEdgeWorld
 from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
 from gridpush_drake.bench.worlds.by_name import WORLD_CLASSES, find_world
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError, PlanningError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.planning.feedback import FeedbackFinger, PushFollower, follow
+from gridpush_drake.planning.feedback import PushFollower, SteeredFinger, follow
 from gridpush_drake.planning.feedback.follow_options import FollowStatus
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.planning.scene import hide
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.press import PressOptions, PressTarget
-from gridpush_drake.planning.world import PushWorld, SimulatedWorld, TrackedWorld, WorldMotion
+from gridpush_drake.planning.world import (
+    PushWorld,
+    SimulatedWorld,
+    SteeredWorld,
+    TrackedWorld,
+    WorldMotion,
+)
 
 PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
@@ -186,18 +195,37 @@ def test_the_finger_s_force_is_seen_with_the_push(DiscWorld, puck):
             WorldMotion(times=np.zeros(2), poses=np.zeros((2, 3)), **wrong)
 
 
-def test_a_finger_is_steered_in_a_world_of_one_s_own(puck):
+def test_a_finger_is_steered_in_a_world_of_one_s_own(DiscWorld, puck):
     finger = FeedbackFinger(radius=FINGER, speed=0.1, walking_speed=0.2)
-    world = make_class("SteeredDisc")(RADIUS, FINGER, (0.0, 0.0, 0.0), (-0.1, 0.01), seed=1)
+    world = make_class("SteeredDisc")(Model(puck), (0.0, 0.0, 0.0))
+    steered = SteeredFinger(world, (-0.1, 0.01), FINGER, seed=1)
     follower = PushFollower(puck, CellParameters.uniform(puck), np.array([0.15, 0.0, 0.0]), finger)
-    run = follow(follower, world, 20.0)
+    run = follow(follower, steered, 20.0)
+    assert isinstance(world, SteeredWorld)
     assert run.status == FollowStatus.REACHED
-    assert np.hypot(*(world.pose[:2] - (0.15, 0.0))) < 0.01
-    # Somebody's hand may put it elsewhere; what is no pose is refused.
-    world.disturb((0.2, 0.1, 0.0))
-    np.testing.assert_array_equal(world.pose, [0.2, 0.1, 0.0])
-    with pytest.raises(PlanningError, match="pose"):
-        world.disturb((np.nan, 0.0, 0.0))
+    assert np.hypot(*(steered.pose[:2] - (0.15, 0.0))) < 0.01
+    with pytest.raises(PlanningError, match="radius"):
+        SteeredFinger(world, (0.0, 0.0), 0.0)
+
+
+@pytest.mark.parametrize("physics", [Physics(), Physics(friction_law="isotropic")])
+def test_an_object_that_a_finger_is_steered_into_moves_as_in_one_push(puck, physics):
+    model = Model(puck, physics=physics)
+    world, steered = (SimulatedWorld(model, (0.0, 0.0, 0.2)) for _ in range(2))
+    path = np.linspace((-0.1, 0.02), (0.02, 0.01), 13)
+    for begin, end in pairwise(path):
+        steered.steer(begin, end, 0.1, FINGER)
+    world.execute(Push(path[0], (path[-1] - path[0]) / 1.2, 1.2, FINGER))
+    assert np.hypot(*steered.truth.pose[:2]) > 0.02
+    off = [1e-4, 1e-4, 1e-3]  # their steps differ
+    assert (np.abs(steered.truth.pose - world.truth.pose) < off).all()
+    # It is at rest again when it was put elsewhere.
+    steered.put((0.0, 0.0, 0.2))
+    for begin, end in pairwise(path):
+        steered.steer(begin, end, 0.1, FINGER)
+    assert (np.abs(steered.truth.pose - world.truth.pose) < off).all()
+    with pytest.raises(PlanningError, match="several objects"):
+        SimulatedWorld(Model([puck, puck]), [(0, 0, 0), (1, 0, 0)]).steer(*path[:2], 0.1, FINGER)
 
 
 def test_a_press_is_made_in_a_world_of_one_s_own():

@@ -65,7 +65,7 @@ def test_two_objects_change_places():
     assert run.state.done and planner.find_reached(world.truth.pose).all()
     # whoever goes first must not lie in the other's goal for good
     first = planner.choose_targets(truth.poses, [])
-    assert first.aside.sum() == 1
+    assert first.is_buffered.sum() == 1
 
 
 def test_threads_choose_the_same_push():

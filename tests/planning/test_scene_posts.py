@@ -124,9 +124,9 @@ def test_a_place_aside_is_beside_posts():
     options = RearrangeOptions(search=QUICK)
     free = RearrangePlanner(objects, poses[::-1], options, SceneRules(TABLE))
     aside = free.choose_targets(poses, [])
-    body = int(np.flatnonzero(aside.aside)[0])
+    body = int(np.flatnonzero(aside.is_buffered)[0])
     post = make_post(*aside.poses[body, :2])
     rules = replace(make_rules(post), finger_region=None)
     kept = RearrangePlanner(objects, poses[::-1], options, rules).choose_targets(poses, [])
     outline = transform_shape(kept.poses[body], objects[body].outline)
-    assert kept.aside[body] and outline.distance(post) > POST_MARGIN
+    assert kept.is_buffered[body] and outline.distance(post) > POST_MARGIN

@@ -275,6 +275,7 @@ def test_a_shipped_scenario_goes_by_its_name(tmp_path, monkeypatch):
         "grasp",
         "grasp_heavy",
         "grasp_unknown_inertia",
+        "line",
         "planar",
         "rearrange",
         "round_table",

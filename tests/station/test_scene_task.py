@@ -33,7 +33,7 @@ from gridpush_drake.station.schema.scenario_file import (
     parse_scenario,
     write_scenario,
 )
-from gridpush_drake.station.tasks.registry import TASK_KINDS, TaskName
+from gridpush_drake.station.tasks.registry import TASK_KINDS
 from gridpush_drake.station.tasks.scene_kinds import list_rest_poses
 from gridpush_drake.station.tasks.scene_task import (
     FetchTask,
@@ -176,7 +176,7 @@ def test_objects_in_each_other_are_both_named(tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_shipped_scenario_of_each_task_makes_sense(name):
-    assert set(NAMES) < set(TaskName)
+    assert set(NAMES) < set(TASK_KINDS)
     scenario = TASK_KINDS[name].make_scenario()
     assert scenario.others and scenario.camera.kind == "ideal"
     resolve(scenario)

@@ -9,8 +9,9 @@ from pydrake.systems.primitives import ConstantVectorSource, Integrator
 from gridpush_drake.geometry.se2 import transform, wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.feedback import FeedbackFinger, FollowOptions, FollowStatus, PosePath
+from gridpush_drake.planning.feedback import FollowOptions, FollowStatus, PosePath
 from gridpush_drake.planning.feedback.pose_path import PathProgress
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.systems import FeedbackPushController, GridLcpSystem
 from tests.helpers.made_identifications import make_block, make_identification
 

@@ -11,19 +11,21 @@ from shapely import Point, box
 
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.exploration.strategy import MAX_REPETITION
 from gridpush_drake.planning.feedback import (
-    FeedbackFinger,
     FollowOptions,
     FollowStatus,
-    LcpFingerWorld,
     PosePath,
     PoseSensorModel,
+    SteeredFinger,
 )
 from gridpush_drake.planning.feedback.follow_calculations import FollowRules, find_places
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.base.messages import PushStatus, SteerCommand, SteerPhase, SteerStatus
 from gridpush_drake.systems.control.follow_controller import (
@@ -65,7 +67,7 @@ class Run:
         self.context = self.controller.GetMyMutableContextFromRoot(
             self.simulator.get_mutable_context()
         )
-        self.world = self.make_world((-0.3, 0.3))
+        self.steered = self.make_finger((-0.3, 0.3))
         self.is_seen = True
         self.is_finger_known = True
         self.refused = 0  # commands that the finger refuses
@@ -76,8 +78,10 @@ class Run:
         self.fix("push_status", AbstractValue.Make(PushStatus()))
         self.show(np.zeros(3))
 
-    def make_world(self, tip):
-        return LcpFingerWorld(OBJ, TRUTH, np.zeros(3), tip, FINGER.radius, SIGHT)
+    def make_finger(self, tip):
+        return SteeredFinger(
+            SimulatedWorld(Model(OBJ, TRUTH), np.zeros(3)), tip, FINGER.radius, SIGHT
+        )
 
     def fix(self, port, value):
         self.controller.GetInputPort(port).FixValue(self.context, value)
@@ -88,7 +92,7 @@ class Run:
 
     def show(self, pose):
         self.fix("object_pose", np.array(pose) if self.is_seen else np.full(3, np.nan))
-        tip = self.world.tip if self.is_finger_known else (np.nan, np.nan)
+        tip = self.steered.tip if self.is_finger_known else (np.nan, np.nan)
         self.fix("pusher_state", np.array([*tip, 0.02, 0.0, 0.0, 0.0]))
         self.fix("steer_status", AbstractValue.Make(self.steer))
 
@@ -114,12 +118,12 @@ class Run:
                         command_id=command.command_id, refused=True, reason="out of reach"
                     )
                 else:
-                    self.world = self.make_world((command.x, command.y))
+                    self.steered = self.make_finger((command.x, command.y))
                     self.steer = SteerStatus(SteerPhase.STEERING, command.command_id)
             if command.command_id == 0 and self.steer.phase == SteerPhase.STEERING:
                 self.steer = replace(self.steer, phase=SteerPhase.IDLE)
             moves = self.steer.phase == SteerPhase.STEERING
-            came = self.world.move(command.velocity if moves else (0.0, 0.0))
+            came = self.steered.move(command.velocity if moves else (0.0, 0.0))
             self.show(came[-1].pose)
             if self.status.mode in (FollowMode.REACHED, FollowMode.FAILED):
                 break
@@ -138,7 +142,7 @@ def test_it_waits_plans_goes_down_behind_the_object_and_pushes_it_to_the_end():
     status = run.go(30.0)
     assert (status.mode, status.cause) == (FollowMode.REACHED, FollowStatus.REACHED), status
     assert status.plans == 1
-    assert measure_off(run.world.pose) < 0.006
+    assert measure_off(run.steered.pose) < 0.006
     # it came down behind the object, as its path begins
     (down,) = run.commands
     assert down.x < OBJ.outline.bounds[0]
@@ -152,7 +156,7 @@ def test_answers_that_come_late_do_as_well():
     run = Run(answer_delay=0.04)
     run.poke()
     assert run.go(30.0).mode == FollowMode.REACHED
-    assert measure_off(run.world.pose) < 0.006
+    assert measure_off(run.steered.pose) < 0.006
 
 
 def test_it_rests_while_no_pose_comes_and_goes_on_with_the_next():
@@ -293,10 +297,10 @@ def test_a_model_of_another_object_is_told_apart_and_planned_with_anew_at_most_s
 
         def show(self, pose):
             widened = OBJ.outline.buffer(FINGER.radius)
-            tip = Point(self.world.tip)
+            tip = Point(self.steered.tip)
             if widened.contains(tip):
                 rim = widened.exterior
-                self.world.tip = np.array(rim.interpolate(rim.project(tip)).coords[0])
+                self.steered.tip = np.array(rim.interpolate(rim.project(tip)).coords[0])
             super().show(np.zeros(3))
 
     options = replace(RULES.options, stuck_after=4.0)

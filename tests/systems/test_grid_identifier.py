@@ -12,7 +12,6 @@ from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.statistics.problem import PushProblem
-from gridpush_drake.identification.tilt_tests.weighed_learning import learn_with_mass_tests
 from gridpush_drake.identification.tilt_tests.weighed_model import estimate_masses
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -152,7 +151,7 @@ def test_weighings_and_forces_make_the_estimate_absolute(cold):
         expected = estimate_masses(pushed, weighings).absolute
         np.testing.assert_array_equal(state.estimate.found.absolute.mean, expected.mean)
         np.testing.assert_array_equal(state.estimate.center_of_mass, expected.center_of_mass)
-        assert state.estimate.pushed is pushed
+        assert state.estimate.found.unweighed is pushed
     # Then the pushes are learned from once more, as from the files afterwards.
     system = GridIdentifier(obj, seed=1, warm_start=False)
     weighings = MassTestLog((press,), (lift,))
@@ -163,18 +162,18 @@ def test_weighings_and_forces_make_the_estimate_absolute(cold):
     again = system._learn(due, 1.0)
     assert again.considered == len(log) and not again.is_behind
 
-    def learn(log, start=None, friction=None):
-        return identify(Model(obj), log, seed=1, start=start, friction=friction)
-
-    offline, found = learn_with_mass_tests(learn, log, weighings)
+    found = identify(Model(obj), log, seed=1, weighings=weighings)
+    offline = found.unweighed
     assert np.ptp(offline.params.friction) > 0
-    np.testing.assert_array_equal(again.estimate.pushed.params.friction, offline.params.friction)
+    np.testing.assert_array_equal(
+        again.estimate.found.unweighed.params.friction, offline.params.friction
+    )
     np.testing.assert_array_equal(again.estimate.found.params.mass, found.params.mass)
     np.testing.assert_array_equal(again.estimate.found.absolute.mean, found.absolute.mean)
     # A push that nothing could be learned from does not keep the others from being learned anew.
     without = replace(due, left_out=(log[-1].name,))
     again = system._learn(without, 1.0)
-    assert not again.is_behind and again.estimate.pushed.push_names == offline.push_names[:-1]
+    assert not again.is_behind and again.estimate.found.push_names == offline.push_names[:-1]
     # After the object became another one, what was weighed before does not count.
     changed = replace(state, weighed_before=(1, 1))
     assert not len(changed.counting_mass_tests)

@@ -241,10 +241,10 @@ class Unlucky(GridIdentifier):
 
     __slots__ = ()
 
-    def Learn(self, log, start=None):
+    def Learn(self, log, start=None, weighings=None):
         if log[0].name == "push_1":
             raise np.linalg.LinAlgError("Eigenvalues did not converge")
-        return super().Learn(log, start)
+        return super().Learn(log, start, weighings)
 
 
 def test_a_push_that_nothing_can_be_learned_from_is_left_out(monkeypatch):

@@ -177,10 +177,10 @@ class Unlucky(GridIdentifier):
 
     __slots__ = ()
 
-    def Learn(self, log, start=None):
+    def Learn(self, log, start=None, weighings=None):
         if log[0].name == "push_1":
             raise RuntimeError("out of luck")
-        return super().Learn(log, start)
+        return super().Learn(log, start, weighings)
 
 
 def test_an_identifier_whose_worker_raises_says_so_and_goes_on(monkeypatch) -> None:

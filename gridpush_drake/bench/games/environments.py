@@ -56,9 +56,7 @@ try:
 except ModuleNotFoundError as error:
     if error.name != "gymnasium":
         raise
-    raise MissingExtraError(
-        "gymnasium: is not installed; expected pip install 'gridpush-drake[gym]'"
-    ) from error
+    raise MissingExtraError("gymnasium: is not installed; expected pip install '.[gym]'") from error
 
 PLANNER_PLAYER = "planner"
 """Name of our own planner."""

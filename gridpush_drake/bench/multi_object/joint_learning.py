@@ -20,9 +20,10 @@ from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.joint_fit import calc_end_errors, identify_together
-from gridpush_drake.identification.joint_result import JointIdentification
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.multi_object.joint_fit import JointSmoothFields, calc_end_errors
+from gridpush_drake.identification.multi_object.joint_result import JointIdentification
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
@@ -101,7 +102,7 @@ def run_learn_job(job: LearnJob) -> LearnScore:
         seen.append(_observe(f"push {i}", true, begin, push, job.world, noise, rng))
     names = tuple(f"object {b}" for b in range(job.count))
     log = PushLog(tuple(seen[:TRAINING]), names=names)
-    found = identify_together(Model(objects), log, noise=MODEL_NOISE[job.world])
+    found = identify(Model(objects), log, JointSmoothFields(MODEL_NOISE[job.world]))
     return LearnScore(
         count=job.count,
         world=job.world,

@@ -159,7 +159,7 @@ def make_mujoco_scene(bodies: Bodies, poses: Array, push: Push) -> Callable[[Arr
         increasing times (K,) of the push, s.
 
     Raises:
-        MissingExtraError: MuJoCo is not installed (`pip install 'gridpush-drake[bench]'`).
+        MissingExtraError: MuJoCo is not installed (`pip install '.[bench]'`).
     """
     mujoco = import_extra("mujoco", "bench")
     model = mujoco.MjModel.from_xml_string(describe_scene(bodies, poses, push))

@@ -35,11 +35,6 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions
-from gridpush_drake.planning.feedback.finger_world import (
-    FingerWorld,
-    FollowRun,
-    follow,
-)
 from gridpush_drake.planning.feedback.follow_options import (
     FollowDecision,
     FollowOptions,
@@ -47,6 +42,11 @@ from gridpush_drake.planning.feedback.follow_options import (
 )
 from gridpush_drake.planning.feedback.pose_path import PathProgress, PosePath
 from gridpush_drake.planning.feedback.push_follower import PushFollower
+from gridpush_drake.planning.feedback.steered_finger import (
+    FollowRun,
+    SteeredFinger,
+    follow,
+)
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import PushRun, push_to_goal
 from gridpush_drake.planning.loop_run import Learner
@@ -204,7 +204,7 @@ def run_job(job: FeedbackJob) -> Followed:
     obj = case.obj
     if job.kind == PATH_RUN:
         path, pose = make_path(obj)
-        world = case.make_world(pose, place_finger(obj, pose, np.pi))
+        world = case.make_finger(pose, place_finger(obj, pose, np.pi))
         follower = make_follower(job, case, path)
         run, decision = time_run(job, case, follower, world)
         path_progress = PathProgress(obj, path)
@@ -239,7 +239,7 @@ def run_job(job: FeedbackJob) -> Followed:
         displacement = DISTURBANCE_DISTANCE * make_direction(rng.uniform(-np.pi, np.pi))
         pose += [*displacement, DISTURBANCE_TURN * rng.choice([-1.0, 1.0])]
         tip = place_finger(obj, pose, heading)
-    world = case.make_world(pose, tip)
+    world = case.make_finger(pose, tip)
     run, decision = time_run(job, case, make_follower(job, case, goal), world)
     reached = run.status == FollowStatus.REACHED
     return make_result(
@@ -309,13 +309,13 @@ class PathLearner(Learner):
 
 
 def time_run(
-    job: FeedbackJob, case: HiddenBodyCase, follower: TimedFollower, world: FingerWorld
+    job: FeedbackJob, case: HiddenBodyCase, follower: TimedFollower, finger: SteeredFinger
 ) -> tuple[FollowRun, float]:
-    """Steers in a world, and measures the median time of a decision, s."""
+    """Steers a finger, and measures the median time of a decision, s."""
     learner = None
     if job.model == LEARNING_MODEL and case.pokes is not None:
         learner = PathLearner(seed=job.seed, pokes=case.pokes)
-    run = follow(follower, world, MOST_TIME, learner=learner, identification=case.learned)
+    run = follow(follower, finger, MOST_TIME, learner=learner, identification=case.learned)
     return run, float(np.median(follower.times))
 
 

@@ -7,22 +7,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely import Point
 
-from gridpush_drake.bench.truth.mujoco_world import MujocoWorld, TruthBody
+from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
 from gridpush_drake.bench.truth.sets import FOUNDATION_KIND, THREE_FEET, draw_masses, make_body
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.feedback.finger_world import (
-    FingerWorld,
-    LcpFingerWorld,
+from gridpush_drake.planning.feedback.steered_finger import (
     PoseSensorModel,
+    SteeredFinger,
 )
-from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.planning.world import SimulatedWorld, TrackedWorld
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -59,40 +57,10 @@ MAX_POKE_TRIES = 200
 """Random pokes that are tried for one that moves the object."""
 
 
-class MujocoFingerWorld(FingerWorld):
-    """A body on feet in MuJoCo, and a rod whose velocity is commanded."""
+class FingerMaker(Protocol):
+    """Makes a world with the hidden body, and a finger that is steered there."""
 
-    def __init__(
-        self,
-        body: TruthBody,
-        pose: ArrayLike,
-        tip: ArrayLike,
-        radius: float,
-        pose_sensor: PoseSensorModel | None = None,
-        seed: int = 0,
-    ) -> None:
-        """Puts body and rod down; the arguments are those of `LcpFingerWorld`."""
-        self._world = MujocoWorld(body, radius)
-        super().__init__(pose, tip, pose_sensor, seed)
-
-    @property
-    def pose(self) -> Array:
-        """(3,) where the object truly is, for judges, m and rad."""
-        return self._world.read_pose()
-
-    def do_put(self, pose: Array) -> None:
-        """Puts the body down at a pose (3,), m and rad."""
-        self._world.put(pose)
-
-    def do_steer(self, tip: Array, duration: float) -> None:
-        """Moves the rod evenly from `tip` to a place (2,), m, within a time, s."""
-        self._world.steer(self.tip, tip, duration)
-
-
-class SteeredWorldMaker(Protocol):
-    """Makes a world in which a finger is steered."""
-
-    def __call__(self, pose: ArrayLike, tip: ArrayLike) -> FingerWorld:
+    def __call__(self, pose: ArrayLike, tip: ArrayLike) -> SteeredFinger:
         """Puts the object down at a pose (3,), and the finger at a place (2,)."""
         ...
 
@@ -105,14 +73,14 @@ class HiddenBodyCase:
         obj: the object, as whoever learns sees it.
         truth: its true masses and frictions.
         learned: what was learned from the pokes; None where it was not asked for.
-        make_world: makes the world.
+        make_finger: makes the world, and the finger in it.
         pokes: what it was learned from; None where it was not learned.
     """
 
     obj: GridObject
     truth: CellParameters
     learned: Identification | None
-    make_world: SteeredWorldMaker
+    make_finger: FingerMaker
     pokes: PushLog | None = None
 
 
@@ -137,10 +105,9 @@ def make_case(world: str, name: str, seed: int, *, learns: bool) -> HiddenBodyCa
             seed=seed,
         )
 
-        def make_world(pose: ArrayLike, tip: ArrayLike) -> FingerWorld:
-            return LcpFingerWorld(
-                obj, truth, pose, tip, STEERED_FINGER.radius, pose_sensor=POSE_SENSOR, seed=seed
-            )
+        def make_finger(pose: ArrayLike, tip: ArrayLike) -> SteeredFinger:
+            world = SimulatedWorld(Model(obj, truth), pose)
+            return SteeredFinger(world, tip, STEERED_FINGER.radius, POSE_SENSOR, seed)
 
     else:
         body = make_body(world, obj, truth, rng)
@@ -152,17 +119,16 @@ def make_case(world: str, name: str, seed: int, *, learns: bool) -> HiddenBodyCa
             seed=seed,
         )
 
-        def make_world(pose: ArrayLike, tip: ArrayLike) -> FingerWorld:
-            return MujocoFingerWorld(
-                body, pose, tip, STEERED_FINGER.radius, pose_sensor=POSE_SENSOR, seed=seed
-            )
+        def make_finger(pose: ArrayLike, tip: ArrayLike) -> SteeredFinger:
+            world = MujocoWorld(body, STEERED_FINGER.radius, pose=pose)
+            return SteeredFinger(world, tip, STEERED_FINGER.radius, POSE_SENSOR, seed)
 
     learned = None
     pokes = None
     if learns:
         pokes = PushLog(tuple(draw_poke(pokes_world, obj, rng, i) for i in range(POKE_COUNT)))
         learned = identify(Model(obj), pokes, seed=seed, regime="quasi_static")
-    return HiddenBodyCase(obj, truth, learned, make_world, pokes)
+    return HiddenBodyCase(obj, truth, learned, make_finger, pokes)
 
 
 def draw_poke(

@@ -234,7 +234,7 @@ def run_job(job: HypothesisJob) -> list[HypothesisScore]:
     kind = job.name or job.kind
     scores: list[HypothesisScore] = []
     for name, ensemble in make_sets().items():
-        found = identify(Model(body.obj), body.training, ensemble=ensemble)
+        found = identify(Model(body.obj), body.training, ensemble)
         if not scores:
             uniform = CellParameters.uniform(body.obj)
             even = calc_mean_cell_error(Model(body.obj, uniform, found.physics), body.held_out)

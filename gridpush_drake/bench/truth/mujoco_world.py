@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PlanningError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array, calc_yaw, transform
 from gridpush_drake.multibody.mjcf import (
@@ -299,12 +300,14 @@ class MujocoWorld(TrackedWorld):
             times=times, poses=poses, fell=bool((tilt >= FALLEN_TILT).any()), tilt=tilt
         )
 
-    def steer(self, begin: Array, end: Array, duration: float) -> None:
-        """Moves the pusher evenly between two places (2,), m, within a time, s.
+    def steer(self, begin: Array, end: Array, duration: float, radius: float) -> None:
+        """Moves the pusher evenly between two places (2,), m; see `SteeredWorld.steer`.
 
-        The body keeps the velocity that it has: this is for a pusher that is steered while it
-        touches.
+        Raises:
+            PlanningError: the radius is not that of this world's pusher.
         """
+        if radius != self.radius:
+            raise PlanningError(f"radius is {radius!r}; expected {self.radius:g} m, the pusher's")
         dt = self.body.time_step
         count = max(1, round(duration / dt))
         speed = (end - begin) / (count * dt)

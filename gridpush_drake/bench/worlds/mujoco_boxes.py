@@ -30,7 +30,7 @@ def make_mujoco_push(model: Model, push: Push) -> Callable[[], np.ndarray]:
         returns the final pose (3,), m and rad.
 
     Raises:
-        ImportError: MuJoCo is not installed (`pip install 'gridpush-drake[bench]'`).
+        ImportError: MuJoCo is not installed (`pip install '.[bench]'`).
     """
     import mujoco
 

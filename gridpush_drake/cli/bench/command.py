@@ -83,7 +83,7 @@ def make_command(study: Study[Any]) -> Any:
             ) as execution:
                 tables = study.run(chosen, execution)
         else:
-            with work_progress("timing") as report:
+            with work_progress(study.name) as report:
                 tables = study.run(
                     chosen, Execution(report=report, prepare=options.compile_kernels)
                 )

@@ -91,6 +91,10 @@ BENCHES: dict[str, LazyCommand] = {
         "gridpush_drake.bench.pusht.experiments:STUDY",
         "Play PushT of gym-pusht with feedback, learning the T's friction within each episode.",
     ),
+    "release": LazyCommand(
+        "gridpush_drake.bench.release:STUDY",
+        "Measure what the pages state, over several sittings, and write their tables.",
+    ),
 }
 """All benches, in the order in which the help lists them."""
 

@@ -11,20 +11,18 @@ from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import count_noun, print_found, search_progress
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_together, write_whole
-from gridpush_drake.identification.learning import identify as search
+from gridpush_drake.identification.learning import identify as learn
+from gridpush_drake.identification.methods import LEARNING_METHODS, find_method
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.model_check import (
-    calc_training_errors,
+from gridpush_drake.identification.model_check import calc_training_errors
+from gridpush_drake.identification.model_file import write_model
+from gridpush_drake.identification.result import Identification, IdentificationStatus
+from gridpush_drake.identification.sentences import (
     describe_center_conflict,
     describe_poor_fit,
 )
-from gridpush_drake.identification.model_file import write_model
-from gridpush_drake.identification.result import Identification, IdentificationStatus
-from gridpush_drake.identification.statistics.friction_gradient import HeldFriction
-from gridpush_drake.identification.tilt_tests.weighed_learning import learn_with_mass_tests
 from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.pushes.misplaced import explain_no_contact
-from gridpush_drake.pushes.plausibility import check_plausible_mass_tests
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import MassTestLog
 from gridpush_drake.report.page import make_report
@@ -121,14 +119,14 @@ def identify(
 
     Example: gridpush identify object.yaml pushes.csv --out model.yaml --report report.html
     """
-    if budget is not None and method == "default":
+    if budget is not None and not find_method(method).abilities.takes_budget:
         raise options.OptionError(
             "--budget: goes with a --method other than default, which ends by itself"
         )
     if others:
         alone = {
             "--weighings": weighings is not None,
-            "--method": method != "default",
+            "--method": not any(one.abilities.takes_several for one in LEARNING_METHODS[method]),
             "--regime": regime == "inertial",
         }
         for option, given in alone.items():
@@ -144,32 +142,19 @@ def identify(
     full = options.load_log(pushes, obj)
     log = full.supported
     weighed = MassTestLog() if weighings is None else MassTestLog.read_csv(weighings)
-    # What cannot be true is refused before the pushes are learned from, which takes a while.
-    check_plausible_mass_tests(obj, weighed)
     options.compile_kernels()
     with search_progress(f"identifying {speak_name(obj.name)}", budget) as progress:
-
-        def learn(
-            log: PushLog,
-            start: Identification | None = None,
-            friction: HeldFriction | None = None,
-        ) -> Identification:
-            return search(
-                Model(obj),
-                log,
-                method=method,
-                seed=seed,
-                regime=regime,
-                budget=budget,
-                progress=progress,
-                start=start,
-                friction=friction,
-            )
-
-        pushed, result = learn_with_mass_tests(
-            learn, log, weighed, seed=seed, holds_friction=method == "default"
+        result = learn(
+            Model(obj),
+            log,
+            method,
+            seed,
+            regime=regime,
+            budget=budget,
+            progress=progress,
+            weighings=weighed,
         )
-    if not pushed.push_names:
+    if not result.push_names:
         raise PushLogError(explain_no_contact(obj, log))
     with write_together():
         write_model(out, result, force)

@@ -28,7 +28,8 @@ from gridpush_drake.station.scene.contents import use_object
 from gridpush_drake.station.scene.resolve import resolve
 from gridpush_drake.station.schema.scenario import MAX_SEED, PushScenario
 from gridpush_drake.station.schema.scenario_file import format_scenario, read_scenario
-from gridpush_drake.station.tasks.registry import TASK_KINDS, TaskName
+from gridpush_drake.station.schema.task_table import DEFAULT_TASK
+from gridpush_drake.station.tasks.registry import TASK_KINDS
 from gridpush_drake.yaml_file import shorten
 
 MAX_EPISODES = 1_000_000
@@ -81,7 +82,7 @@ def campaign(
             show_default="the scenario's",
         ),
     ] = None,
-    task: Task = TaskName.pregrasp,
+    task: Task = DEFAULT_TASK,
     robot: options.RobotScene = None,
     camera: Annotated[
         Literal["ideal", "rgbd"] | None,

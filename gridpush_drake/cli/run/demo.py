@@ -21,19 +21,42 @@ from gridpush_drake.station.scene.camera import check_renderer
 from gridpush_drake.station.scene.contents import use_object
 from gridpush_drake.station.scene.resolve import resolve
 from gridpush_drake.station.schema.scenario_file import read_scenario
-from gridpush_drake.station.tasks.registry import TASK_KINDS, TaskName
+from gridpush_drake.station.schema.task_table import DEFAULT_TASK, TASKS
+from gridpush_drake.station.tasks.registry import TASK_KINDS, explain_tasks, name_tasks
 from gridpush_drake.station.tasks.task_kind import TaskKind, write_files
 
 EXIT_NOT_DONE = 1
 """Exit code if the command worked as it should, but the robot did not reach its goal."""
 
+COUNTED_TASKS = name_tasks(lambda kind: kind.counts_pokes)
+"""Tasks that `--pushes` goes with, in words."""
+
+HIDING_TASKS = name_tasks(lambda kind: kind.hides)
+"""Tasks in which the arm hides the object from the camera, in words."""
+
+
+def check_task(name: str) -> str:
+    """Returns the name of a task.
+
+    Raises:
+        BadParameter: there is no such task.
+    """
+    if name not in TASKS:
+        raise typer.BadParameter(f"{name!r} is not one of {', '.join(map(repr, TASKS))}.")
+    return name
+
+
+def make_task_option(text: str) -> Any:
+    """Makes the option `--task`, with the text of its help."""
+    return typer.Option(
+        metavar="TASK", callback=check_task, autocompletion=lambda: list(TASKS), help=text
+    )
+
 
 Task = Annotated[
-    TaskName,
-    typer.Option(
-        metavar="TASK",
-        help=f"What the robot should do: {', '.join(TaskName)}; `gridpush demo --help` explains "
-        "each.",
+    str,
+    make_task_option(
+        f"What the robot should do: {', '.join(TASKS)}; `gridpush demo --help` explains each."
     ),
 ]
 """The task, where `gridpush demo` explains what each is."""
@@ -41,18 +64,8 @@ Task = Annotated[
 
 def demo(
     task: Annotated[
-        TaskName,
-        typer.Option(
-            metavar="TASK",
-            help="What the robot should do. identify: poke the object, learn where it is heavy, "
-            "and test what was learned; push: push it to a goal pose, and learn on the way; "
-            "pregrasp: poke and learn it, slide it to the table's edge, grasp it there and lift "
-            "it; follow: poke and learn it, and push it along a path between obstacles, with a "
-            "finger that is steered ten times a second. "
-            "With several objects: separate: push them apart; rearrange: push each to a goal; "
-            "fetch: clear the way for one, and grasp it at the table's edge.",
-        ),
-    ] = TaskName.pregrasp,
+        str, make_task_option(f"What the robot should do. {explain_tasks()}")
+    ] = DEFAULT_TASK,
     object_file: Annotated[
         str | None,
         typer.Option(
@@ -76,7 +89,7 @@ def demo(
         int | None,
         typer.Option(
             min=1,
-            help="How many pokes to learn from; only with --task identify.",
+            help=f"How many pokes to learn from; only with --task {COUNTED_TASKS}.",
             show_default="the scenario's, 8",
         ),
     ] = None,
@@ -90,7 +103,8 @@ def demo(
             "In tasks with several objects the robot is told all outlines, and with rgbd it "
             "follows all of them in its pictures.",
             show_default="that of --scenario; without one rgbd, or ideal if nothing can be "
-            "rendered, for several objects, or for --task follow, where the arm hides the object",
+            f"rendered, for several objects, or for --task {HIDING_TASKS}, where the arm hides the "
+            "object",
         ),
     ] = None,
     seed: Annotated[
@@ -142,13 +156,13 @@ def demo(
 
     Example: gridpush demo --task push --object toolbox --out pushed
     """
-    if pushes is not None and task is not TaskName.identify:
+    chosen = TASK_KINDS[task]
+    if pushes is not None and not chosen.counts_pokes:
         raise options.OptionError(
-            f"--pushes: goes with --task identify only; in --task {task} the robot itself decides "
-            "how many pushes to make"
+            f"--pushes: goes with --task {COUNTED_TASKS} only; in --task {task} the robot itself "
+            "decides how many pushes to make"
         )
     # The scenario, with what the command line says instead
-    chosen = TASK_KINDS[task]
     scenario = read_scenario(scenario_file) if scenario_file else chosen.make_scenario()
     known_object = None if object_file is None else use_object(scenario, object_file, "--object")
     if pushes is not None:

@@ -50,7 +50,8 @@ from gridpush_drake.station.recording.rerun_view import RerunView
 from gridpush_drake.station.recording.run_recorder import RunRecorder
 from gridpush_drake.station.scene.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.schema.scenario import PushScenario
-from gridpush_drake.station.tasks.registry import TASK_KINDS, TaskName
+from gridpush_drake.station.schema.task_table import DEFAULT_TASK
+from gridpush_drake.station.tasks.registry import TASK_KINDS
 from gridpush_drake.station.tasks.task import StationTask
 from gridpush_drake.station.tasks.task_kind import TaskKind, write_files
 from gridpush_drake.systems.base.messages import PushCommand
@@ -71,7 +72,7 @@ NO_FORCE_SENSE = (
 
 
 def robot(
-    task: Task = TaskName.pregrasp,
+    task: Task = DEFAULT_TASK,
     scenario_file: Scenario = None,
     object_file: ObjectFile = None,
     lcm: LcmUrl = DEFAULT_URL,

@@ -10,8 +10,8 @@ import inspect
 from collections.abc import Mapping
 from copy import copy
 from difflib import get_close_matches
-from importlib import import_module
 from inspect import Parameter, Signature
+from pkgutil import resolve_name
 from typing import Any, ClassVar, NamedTuple
 
 import typer
@@ -128,8 +128,7 @@ def load_command(name: str, target: str) -> Any:
     Returns:
         The command or group, as Typer runs it.
     """
-    module, _, attribute = target.partition(":")
-    found = getattr(import_module(module), attribute)
+    found = resolve_name(target)
     if isinstance(found, typer.Typer):
         command: Any = typer.main.get_group(found)
     else:

@@ -8,8 +8,8 @@ import typer
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import count_noun, print_found, print_notice
 from gridpush_drake.files import write_together
-from gridpush_drake.identification.absolute.estimate import describe_weighed
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.statements import describe_weighed
 from gridpush_drake.multibody.mjcf import WriteMjcf
 from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
 from gridpush_drake.objects.object_file import speak_name
@@ -82,7 +82,7 @@ def export(
         typer.Option(
             metavar="DIR",
             help="Instead, write the episodes of a campaign that was run with --record as a "
-            "LeRobot dataset (v3.0). Needs pip install 'gridpush-drake\\[lerobot]'.",
+            "LeRobot dataset (v3.0). Needs pip install '.\\[lerobot]'.",
         ),
     ] = None,
     largest_piece: options.LargestPiece = False,

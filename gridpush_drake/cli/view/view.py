@@ -130,7 +130,7 @@ def view(
             "--rerun",
             metavar="FILE.rrd|live",
             help="Show it in the Rerun viewer instead of the browser (live), or write a file for "
-            "that viewer. Needs pip install 'gridpush-drake\\[rerun]'.",
+            "that viewer. Needs pip install '.\\[rerun]'.",
         ),
     ] = None,
     largest_piece: options.LargestPiece = False,

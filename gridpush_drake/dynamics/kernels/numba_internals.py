@@ -72,7 +72,10 @@ BORROWED_OPTIONS: Any = {NO_REFERENCES: False, INLINE_OPTION: True}
 
 
 class NumbaCache:
-    """What a dispatcher asks of its cache; a class of its own fills in the first three."""
+    """The methods that Numba calls of the cache of a compiled function.
+
+    A subclass gives the folder, the reading and the writing; a cache is always on.
+    """
 
     @property
     def cache_path(self) -> str:

@@ -49,7 +49,6 @@ from gridpush_drake.pushes.weighings import (
     MassTestLog,
     TiltTest,
 )
-from gridpush_drake.units import MM_PER_M
 
 INTERVAL_SIGMAS = 1.96
 """Number of standard deviations from the estimate to the ends of an interval: 95 % are within."""
@@ -581,33 +580,3 @@ def _minimize(problem: MassProblem, mean: Array, root: Array, start: Array) -> t
     return fit_with_prior(
         lambda u: calc(u)[0], lambda u: calc(u)[1], mean, root, start, FIT_TOLERANCES
     )
-
-
-def describe_sources(estimate: AbsoluteEstimate) -> str:
-    """Names what an estimate rests on: "3 presses at the edge and 1 lift"."""
-    counted = (
-        (estimate.presses, "press at the edge", "presses at the edge"),
-        (estimate.lifts, "lift", "lifts"),
-        (estimate.pushes, "push with measured forces", "pushes with measured forces"),
-    )
-    named = [f"{n} {one if n == 1 else many}" for n, one, many in counted if n]
-    return " and ".join(filter(None, [", ".join(named[:-1]), named[-1]]))
-
-
-def describe_weighed(absolute: AbsoluteEstimate) -> str:
-    """Says how well mass, center of mass, inertia and friction are known, in a sentence."""
-    low, high = absolute.mass_interval
-    x, y = absolute.center_of_mass * MM_PER_M
-    std = absolute.center_std * MM_PER_M
-    words = [
-        f"weighed by {describe_sources(absolute)}; with a probability of 95 %, mass "
-        f"{absolute.total_mass:.4g} kg ({low:.4g} to {high:.4g} kg)",
-        f"center of mass x {x:.1f} ± {INTERVAL_SIGMAS * std[0]:.1f} mm, y {y:.1f} ± "
-        f"{INTERVAL_SIGMAS * std[1]:.1f} mm",
-    ]
-    low, high = absolute.inertia_interval
-    words.append(f"inertia about z {absolute.inertia:.3g} kg m² ({low:.3g} to {high:.3g} kg m²)")
-    if absolute.pushes:
-        low, high = absolute.friction_interval
-        words.append(f"mean friction {absolute.friction:.3f} ({low:.3f} to {high:.3f})")
-    return ", ".join(words) + "."

@@ -7,3 +7,4 @@ from .search import SearchMethod as SearchMethod
 from .search import SearchResult as SearchResult
 from .search import SearchStatus as SearchStatus
 from .search import run_search as run_search
+from .search_learner import SearchLearner as SearchLearner

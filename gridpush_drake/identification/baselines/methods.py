@@ -104,7 +104,7 @@ class FiniteDifference:
 
 @dataclass(frozen=True)
 class CmaEs:
-    """CMA-ES, by the package `cma`, which `pip install 'gridpush-drake[baselines]'` installs.
+    """CMA-ES, by the package `cma`, which `pip install '.[baselines]'` installs.
 
     Attributes:
         std: the initial standard deviation.
@@ -176,9 +176,6 @@ SEARCH_METHODS: dict[str, SearchMethod] = {
     "nelder_mead": NelderMead(),
 }
 """Searches by the name that `identify` takes."""
-
-DEFAULT_BUDGET_PER_PUSH = 100
-"""Number of simulations of each training push where no budget is given."""
 
 
 def _draw_truncated_normal(rng: np.random.Generator, mean: Array, std: float) -> Array:

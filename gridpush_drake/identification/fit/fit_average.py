@@ -76,7 +76,6 @@ class MapEnsembleFit:
         noise_std: standard deviation of what stays unexplained, per coordinate of the residual, m.
         load_shift_std: standard deviation of the load's center per axis from push to push, m.
         status: how it ended.
-        message: the status in a sentence.
         starts: where each fit ended.
         best: the most probable fit; None where there was nothing to fit.
         interval_scale: factor on predicted intervals, see `Identification`.
@@ -89,7 +88,6 @@ class MapEnsembleFit:
     noise_std: float
     load_shift_std: float
     status: IdentificationStatus
-    message: str
     starts: tuple[FitStart, ...] = ()
     best: MapFit | None = None
     interval_scale: float = 1.0
@@ -165,15 +163,13 @@ def average_fits(
     shared = problem.calc_tilt_covariance(SHARED_SHIFT * surer * scaled.load_shift)
 
     best = int(np.argmax(weights))
-    status, message = _describe(candidates[best].prior)
     return MapEnsembleFit(
         z=z,
         covariance=wider**2 * covariance + shared,
         prior_covariance=wider**2 * prior_covariance,
         noise_std=scaled.pose,
         load_shift_std=scaled.load_shift,
-        status=status,
-        message=message,
+        status=_find_status(candidates[best].prior),
         starts=tuple(FitStart(one.fit.z, one.fit.scale, one.name) for one in candidates),
         best=fits[best],
         interval_scale=kappa / wider,
@@ -314,15 +310,10 @@ class _AveragedGroup:
     on_grid: bool
 
 
-def _describe(best: LoadPrior) -> tuple[IdentificationStatus, str]:
-    """Tells the status by the most probable prior, and says it in a sentence."""
-    if not best.stands_for_even:
-        return IdentificationStatus.LEARNED, "Learned from the pushes."
-    return (
-        IdentificationStatus.PRIOR_KEPT,
-        "The pushes are explained best by an almost even object; only the contact friction was "
-        "fitted freely.",
-    )
+def _find_status(best: LoadPrior) -> IdentificationStatus:
+    """Tells the status by the most probable prior."""
+    even = best.stands_for_even
+    return IdentificationStatus.PRIOR_KEPT if even else IdentificationStatus.LEARNED
 
 
 def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:

@@ -24,8 +24,8 @@ Shipped are
 
       log k ~ N(log k_0, a_o² C + sigma_o² h h^T)
 
-A further hypothesis is a class with the attributes and the method of `LoadHypothesis`, passed as
-`identify(..., ensemble=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, Mine())))`. Theory:
+A further hypothesis is a class that inherits `LoadHypothesis`, passed as
+`identify(..., method=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, Mine())))`. Theory:
 `docs/theory/identification.md`, sections 3 and 5. The fits themselves are made in `map_fit`.
 """
 
@@ -67,12 +67,15 @@ known of the center of mass, in radii of gyration."""
 
 
 class LoadHypothesis(Protocol):
-    """One idea of how an object bears on the table.
+    """One idea of how an object bears on the table; a class that inherits it is one.
 
     Attributes:
         name: short name, unique in an ensemble; results and reports show it.
-        needs_pushes: whether `propose` looks at `Setting.pushes`. Such hypotheses are asked last,
-            with the pushes made linear about the best fit of the others.
+        needs_pushes: whether `propose` looks at `HypothesisInputs.pushes`. Such hypotheses are
+            asked last, with the pushes made linear about the best fit of the others.
+        field_amplitude: standard deviation of log k of a smooth field; None of any other
+            hypothesis. Smooth fields are fitted first and coarse to fine, each from where the one
+            of the next smaller amplitude ended.
     """
 
     @property
@@ -82,8 +85,13 @@ class LoadHypothesis(Protocol):
 
     @property
     def needs_pushes(self) -> bool:
-        """Whether `propose` looks at `Setting.pushes`."""
-        ...
+        """False: the priors are the same for all pushes."""
+        return False
+
+    @property
+    def field_amplitude(self) -> float | None:
+        """None: it is no smooth field."""
+        return None
 
     def propose(self, setting: HypothesisInputs) -> Sequence[LoadPrior]:
         """Proposes priors of z for an object; none where the idea does not apply to it."""
@@ -102,7 +110,7 @@ def _check_positive(hypothesis: "SmoothField | Concentrated | Ring") -> None:
 
 
 @dataclass(frozen=True)
-class SmoothField:
+class SmoothField(LoadHypothesis):
     """Neighboring cells bear alike: log k ~ N(log k_0, a² C).
 
     The smooth fields of an ensemble are fitted in the order of their amplitudes, each from where
@@ -126,9 +134,9 @@ class SmoothField:
         return f"smooth field {self.amplitude:g}"
 
     @property
-    def needs_pushes(self) -> bool:
-        """False: the prior is the same for all pushes."""
-        return False
+    def field_amplitude(self) -> float:
+        """The amplitude a."""
+        return self.amplitude
 
     def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
         """Proposes the smooth field."""
@@ -147,7 +155,7 @@ class SmoothField:
 
 
 @dataclass(frozen=True)
-class RigidBottom:
+class RigidBottom(LoadHypothesis):
     """A flat rigid bottom stands on corners of the outline's convex hull, whichever bear most.
 
     Attributes:
@@ -169,11 +177,6 @@ class RigidBottom:
         """Short name."""
         return "rigid bottom"
 
-    @property
-    def needs_pushes(self) -> bool:
-        """False: the corners follow from the outline."""
-        return False
-
     def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
         """Proposes loads at the corners, where no cell has its center."""
         obj = setting.obj
@@ -190,7 +193,7 @@ class RigidBottom:
 
 
 @dataclass(frozen=True)
-class Concentrated:
+class Concentrated(LoadHypothesis):
     """The load is gathered in the middle of the object, as in a bowl, or out at its rim.
 
     How far out the load lies is what turns an object most when it is pushed, and a smooth field has
@@ -219,11 +222,6 @@ class Concentrated:
         """Short name."""
         return "concentrated"
 
-    @property
-    def needs_pushes(self) -> bool:
-        """False: the prior is the same for all pushes."""
-        return False
-
     def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
         """Proposes it; nothing where all cells are equally far from the middle."""
         obj = setting.obj
@@ -238,7 +236,7 @@ class Concentrated:
 
 
 @dataclass(frozen=True)
-class TwoParts:
+class TwoParts(LoadHypothesis):
     """The object is of two parts, as of steel and of wood, that meet at a straight cut.
 
     Every cut that leaves both parts a fraction of the cells is scored to first order; the best few,
@@ -282,7 +280,7 @@ class TwoParts:
 
 
 @dataclass(frozen=True)
-class Ring:
+class Ring(LoadHypothesis):
     """The load lies in a ring about the middle, such as the foot of a bowl or the rim of a lid.
 
     Rings of many radii are scored to first order, as the cuts of `TwoParts` are; the best one is

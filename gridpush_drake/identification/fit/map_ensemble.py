@@ -13,11 +13,12 @@ becomes of pushes that contradict the others in `robust_fit`.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
 
-from gridpush_drake.errors import IdentificationError
+from gridpush_drake.errors import IdentificationError, ParameterError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.fit.fit_average import (
     HOPELESS_EVIDENCE_GAP,
@@ -25,11 +26,18 @@ from gridpush_drake.identification.fit.fit_average import (
     MapEnsembleFit,
     average_fits,
 )
+from gridpush_drake.identification.fit.flipped_poses import find_flipped_poses
+from gridpush_drake.identification.fit.found_model import make_identification
 from gridpush_drake.identification.fit.hypotheses import (
     CENTER_STD,
     DEFAULT_HYPOTHESES,
     LoadHypothesis,
-    SmoothField,
+)
+from gridpush_drake.identification.fit.learning_task import (
+    Abilities,
+    Found,
+    LearningTask,
+    TouchingPushes,
 )
 from gridpush_drake.identification.fit.linearized_fit import solve_factor
 from gridpush_drake.identification.fit.load_prior import (
@@ -38,6 +46,7 @@ from gridpush_drake.identification.fit.load_prior import (
     LoadPrior,
 )
 from gridpush_drake.identification.fit.map_fit import MapFit, fit_map
+from gridpush_drake.identification.fit.robust_fit import Fitter, Tracker, fit_robustly
 from gridpush_drake.identification.result import FitStart, IdentificationStatus
 from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
 from gridpush_drake.identification.statistics.noise import POSE_SIZE, NoiseModel, NoiseScale
@@ -104,14 +113,73 @@ class MapEnsemble:
         return float(obj.n**-0.5) if self.patch_ratio is None else self.patch_ratio
 
     @property
-    def widest(self) -> SmoothField:
-        """The smooth field of the largest amplitude, which stands for what is held before any push.
+    def name(self) -> str:
+        """Name of the method."""
+        return "default"
 
-        It is the widest shipped one if the ensemble has no smooth field.
+    @property
+    def abilities(self) -> Abilities:
+        """It descends exact gradients, and holds what it is told of frictions."""
+        return Abilities(needs_gradients=True, takes_overhang=True, holds_friction=True)
+
+    @property
+    def fields(self) -> list[LoadHypothesis]:
+        """Smooth fields, by increasing amplitude; the shipped ones if the ensemble has none."""
+        return _sort_fields(self.hypotheses) or _sort_fields(DEFAULT_HYPOTHESES)
+
+    @property
+    def widest(self) -> LoadHypothesis:
+        """Smooth field of the largest amplitude, which stands for what is held before any push."""
+        return self.fields[-1]
+
+    def learn(self, task: LearningTask) -> Found:
+        """Learns an object from the pushes of a task; see `LearningMethod`.
+
+        Raises:
+            IdentificationError: no loads explain the pushes with what is told of the object.
         """
-        fields = [one for one in self.hypotheses if isinstance(one, SmoothField)]
-        fields = fields or [one for one in DEFAULT_HYPOTHESES if isinstance(one, SmoothField)]
-        return max(fields, key=lambda one: one.amplitude)
+        ensemble = replace(self, noise=task.adapt_noise(self.noise))
+        pushes = TouchingPushes(task, self.choose_patch_ratio(task.obj))
+        tracker = Tracker(pushes.problem, task.progress)
+        known: dict[str, Any] = {
+            "z0": pushes.z0,
+            "log_contact_friction_std": pushes.log_contact_friction_std,
+            "center_of_mass": CenterOfMass.of_prior(task.obj.prior),
+        }
+        fitter = Fitter(
+            fit_all=partial(ensemble.fit, **known, on_step=tracker.report),
+            fit_few=partial(ensemble.fit_field, **known),
+            tracker=tracker,
+        )
+        kept = pushes.screened
+        if len(kept.log):
+            try:
+                fit, kept = fit_robustly(fitter, pushes.problem, kept, task.starts, task.seed)
+            except (np.linalg.LinAlgError, ParameterError) as error:
+                raise IdentificationError(_describe_no_fit(task.obj)) from error
+        else:
+            fit = ensemble.fit_prior(task.obj, pushes.z0, pushes.log_contact_friction_std)
+        model = make_identification(
+            task,
+            pushes,
+            kept,
+            fit,
+            held=pushes.even,
+            noise=ensemble.noise,
+            method=self.name,
+            tracker=tracker,
+        )
+        # Which way round symmetric objects were seen is asked of all pushes, also of those refused.
+        touching = pushes.screened.log
+        flipped = find_flipped_poses(
+            pushes.problem.replace_log(touching),
+            touching,
+            kept.log,
+            pushes.z0,
+            ensemble.noise,
+            fitter.fit_few,
+        )
+        return Found(model, kept, flipped)
 
     def fit(
         self,
@@ -169,8 +237,8 @@ class MapEnsemble:
         center_of_mass: CenterOfMass | None,
     ) -> MapFit:
         """Fits one smooth field of a middle amplitude alone, with the arguments of `fit`."""
-        fields = [one for one in self.hypotheses if isinstance(one, SmoothField)] or [self.widest]
         setting = HypothesisInputs(problem.obj, z0, log_contact_friction_std)
+        fields = _sort_fields(self.hypotheses) or [self.widest]
         prior = min(fields, key=_calc_distance_to_middle).propose(setting)[0]
         return fit_map(
             problem,
@@ -192,7 +260,6 @@ class MapEnsemble:
             noise_std=self.noise.pose,
             load_shift_std=self.noise.load_shift,
             status=IdentificationStatus.NO_DATA,
-            message="The pusher never touched the object: nothing was learned, this is the prior.",
         )
 
     def make_widest_factor(self, obj: GridObject, log_contact_friction_std: float) -> Array:
@@ -208,13 +275,10 @@ class MapEnsemble:
         starts: tuple[FitStart, ...],
     ) -> list[Candidate]:
         """Fits the priors that do not depend on the pushes, the smooth fields coarse to fine."""
-        fields = [one for one in self.hypotheses if isinstance(one, SmoothField)]
         others = [
-            one
-            for one in self.hypotheses
-            if not isinstance(one, SmoothField) and not one.needs_pushes
+            one for one in self.hypotheses if one.field_amplitude is None and not one.needs_pushes
         ]
-        ordered = [*sorted(fields, key=lambda one: one.amplitude), *others]
+        ordered = [*_sort_fields(self.hypotheses), *others]
         warm = {start.name: start for start in starts}
         candidates: list[Candidate] = []
         last: MapFit | None = None  # of the smooth field before
@@ -224,7 +288,7 @@ class MapEnsemble:
                 linear = None
                 if prior.start is not None:
                     begin = FitStart(prior.start, NoiseScale())
-                elif isinstance(hypothesis, SmoothField) and last is not None:
+                elif hypothesis.field_amplitude is not None and last is not None:
                     # A wider field explains no less than a narrower one did.
                     scale = NoiseScale(*np.minimum(last.scale, 1.0).tolist())
                     begin = FitStart(last.z, scale)
@@ -240,7 +304,7 @@ class MapEnsemble:
                     warm_start=warm.get(name, warm.get("")),
                 )
                 candidates.append(candidate)
-                if isinstance(hypothesis, SmoothField):
+                if hypothesis.field_amplitude is not None:
                     last = candidate.fit
         return candidates
 
@@ -271,6 +335,12 @@ class MapEnsemble:
         return candidates
 
 
+def _sort_fields(hypotheses: Sequence[LoadHypothesis]) -> list[LoadHypothesis]:
+    """Sorts the smooth fields among hypotheses by increasing amplitude."""
+    fields = [one for one in hypotheses if one.field_amplitude is not None]
+    return sorted(fields, key=lambda one: one.field_amplitude or 0.0)
+
+
 def _propose(hypothesis: LoadHypothesis, setting: HypothesisInputs) -> list[tuple[str, LoadPrior]]:
     """The priors that a hypothesis proposes, each with a name."""
     priors = list(hypothesis.propose(setting))
@@ -281,7 +351,7 @@ def _propose(hypothesis: LoadHypothesis, setting: HypothesisInputs) -> list[tupl
 
 def _find_fields(candidates: Sequence[Candidate]) -> list[int]:
     """Indices of the smooth fields, by increasing amplitude."""
-    return [i for i, one in enumerate(candidates) if isinstance(one.hypothesis, SmoothField)]
+    return [i for i, one in enumerate(candidates) if one.hypothesis.field_amplitude is not None]
 
 
 def _find_best(candidates: Sequence[Candidate]) -> int:
@@ -292,8 +362,8 @@ def _find_best(candidates: Sequence[Candidate]) -> int:
 
 def _calc_distance_to_middle(one: LoadHypothesis) -> float:
     """Distance of a smooth field's log amplitude from that with which tilted loads are fitted."""
-    assert isinstance(one, SmoothField)
-    return float(np.abs(np.log(one.amplitude / TILTED_AMPLITUDE)))
+    assert one.field_amplitude is not None
+    return float(np.abs(np.log(one.field_amplitude / TILTED_AMPLITUDE)))
 
 
 def _begin_with_tilts(
@@ -428,3 +498,19 @@ def tilt_loads(obj: GridObject, z0: Array) -> list[Array]:
             z[CELL_ENTRIES] += logsumexp(z0[CELL_ENTRIES]) - logsumexp(z[CELL_ENTRIES])
             tilted.append(z)
     return tilted
+
+
+def _describe_no_fit(obj: GridObject) -> str:
+    """Says which of what was told of an object may be why its fit's equations cannot be solved."""
+    prior = obj.prior
+    given = []
+    if prior.center_of_mass is not None:
+        x, y = prior.center_of_mass
+        given.append(f"center_of_mass.at, [{x:g}, {y:g}] m,")
+    if prior.push_height is not None:
+        given.append(f"pusher.height, {prior.push_height:g} m,")
+    question = f"; is {' and '.join(given)} right?" if given else ""
+    return (
+        f"{obj.name}: the fit's equations cannot be solved, "
+        f"no loads of its cells explain the pushes{question}"
+    )

@@ -98,10 +98,10 @@ def propose_modes(
 
 
 def reduce_rows(pushes: LinearizedPushes) -> LinearizedPushes:
-    """Says what pushes say in no more rows than there are unknowns, by a QR factorization.
+    """Replaces the residuals of pushes by no more than there are unknowns, by a QR factorization.
 
-    Every normal prior of z has the same evidence and the same optimum with both, but for a constant
-    that all priors share.
+    They tell the same of the unknowns: every normal prior of z has the same evidence and the same
+    optimum with both, but for a constant that all priors share.
     """
     residuals = pushes.residuals
     J = pushes.J

@@ -17,10 +17,8 @@ import numpy as np
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.fit.fit_average import MapEnsembleFit
 from gridpush_drake.identification.fit.linearized_fit import LinearizedFit
-from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
 from gridpush_drake.identification.fit.map_fit import MapFit, fit_without
 from gridpush_drake.identification.result import FitStart, HistoryEntry
-from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
 from gridpush_drake.identification.statistics.noise import NoiseScale
 from gridpush_drake.identification.statistics.outliers import (
     SUSPECT_EVIDENCE,
@@ -95,21 +93,17 @@ class Tracker:
 
 
 @dataclass(frozen=True, eq=False)
-class FitTask:
-    """What stays the same from one fit of a log to the next.
+class Fitter:
+    """How pushes are fitted, which stays the same from one fit of a log to the next.
 
     Attributes:
-        ensemble: the default method.
-        z0: (n+1,) prior mean of z.
-        log_contact_friction_std: prior standard deviation of log mu_c.
-        center_of_mass: what is told of it; None for nothing.
-        tracker: is told of every step.
+        fit_all: fits all hypotheses to pushes; its `starts` are where fits to others have ended.
+        fit_few: fits one smooth field to a few pushes.
+        tracker: is told which pushes are fitted.
     """
 
-    ensemble: MapEnsemble
-    z0: Array
-    log_contact_friction_std: float
-    center_of_mass: CenterOfMass | None
+    fit_all: Callable[..., MapEnsembleFit]
+    fit_few: Callable[[PushProblem], MapFit]
     tracker: Tracker
 
     def fit(
@@ -117,26 +111,13 @@ class FitTask:
     ) -> tuple[MapEnsembleFit, MapFit]:
         """Fits all hypotheses to the pushes; returns their average, and the most probable one."""
         self.tracker.follow(problem)
-        average = self.ensemble.fit(
-            problem,
-            self.z0,
-            self.log_contact_friction_std,
-            self.center_of_mass,
-            self.tracker.report,
-            starts,
-        )
+        average = self.fit_all(problem, starts=starts)
         assert average.best is not None
         return average, average.best
 
-    def fit_few(self, problem: PushProblem) -> MapFit:
-        """Fits one smooth field to a few pushes."""
-        return self.ensemble.fit_field(
-            problem, self.z0, self.log_contact_friction_std, self.center_of_mass
-        )
-
 
 def fit_robustly(
-    task: FitTask,
+    fitter: Fitter,
     problem: PushProblem,
     screened: ScreenedLog,
     starts: tuple[FitStart, ...],
@@ -145,7 +126,7 @@ def fit_robustly(
     """Fits a log, and refuses what does not agree with the rest.
 
     Args:
-        task: how to fit.
+        fitter: how to fit.
         problem: the pushes of `screened`.
         screened: the log, without the poses that no motion of the pusher explains.
         starts: where the first fit begins, see `MapEnsemble.fit`.
@@ -154,14 +135,14 @@ def fit_robustly(
     Returns:
         The last fit, and the log that it was made of with all that was refused.
     """
-    average, best = task.fit(problem, starts)
+    average, best = fitter.fit(problem, starts)
     # Several outlier pushes at once can hide each other in one poor fit. Then small sets of pushes
     # are asked by themselves, and what the best of them refuses stays out if the rest fits well.
     if is_poor(best) and screened.may_refuse and len(problem) > MAJORITY_PUSHES:
-        majority = find_majority(task, problem, screened, seed)
+        majority = find_majority(fitter, problem, screened, seed)
         if majority is not screened:
             rest = problem.replace_log(majority.log)
-            average_of_rest, best_of_rest = task.fit(rest)
+            average_of_rest, best_of_rest = fitter.fit(rest)
             if not is_poor(best_of_rest):
                 problem = rest
                 screened = majority
@@ -177,7 +158,7 @@ def fit_robustly(
             break
         screened = refused
         problem = problem.replace_log(screened.log)
-        average, best = task.fit(problem, average.starts)
+        average, best = fitter.fit(problem, average.starts)
     return average, screened
 
 
@@ -187,7 +168,7 @@ def is_poor(fit: MapFit) -> bool:
 
 
 def find_majority(
-    task: FitTask, problem: PushProblem, screened: ScreenedLog, seed: int
+    fitter: Fitter, problem: PushProblem, screened: ScreenedLog, seed: int
 ) -> ScreenedLog:
     """Finds the pushes that belong together, by fits to a few of them.
 
@@ -204,7 +185,7 @@ def find_majority(
     outliers: list[int] = []
     for _ in range(MAJORITY_TRIALS):
         few = np.sort(rng.choice(len(problem), MAJORITY_PUSHES, replace=False))
-        fit = task.fit_few(problem.choose(few.tolist()))
+        fit = fitter.fit_few(problem.choose(few.tolist()))
         if is_poor(fit):
             continue
         others = np.setdiff1d(np.arange(len(problem)), few).tolist()

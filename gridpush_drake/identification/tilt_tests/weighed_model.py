@@ -34,6 +34,7 @@ from gridpush_drake.identification.result import (
     calc_center_of_friction,
     calc_center_of_mass,
 )
+from gridpush_drake.identification.sentences import describe_center_outside
 from gridpush_drake.identification.statistics.friction_gradient import (
     HeldFriction,
     calc_gradient_std,
@@ -43,7 +44,6 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.plausibility import check_plausible_mass_tests
 from gridpush_drake.pushes.weighings import MassTestLog
-from gridpush_drake.units import MM_PER_M
 
 POSTERIOR_DRAWS = 64
 """Number of draws from the posterior by which the spread of the radius of gyration is computed."""
@@ -61,7 +61,7 @@ def estimate_masses(
     noise: PoseNoise | None = None,
     seed: int = 0,
 ) -> Identification:
-    """Adds weighings to a learned model.
+    """Adds weighings to a learned model, in the place of those that it has.
 
     Args:
         found: what pushes said, and their forces where they were measured.
@@ -88,6 +88,20 @@ def estimate_masses(
     if not len(log):
         raise IdentificationError("weighings: there are none; expected at least one")
     check_plausible_mass_tests(found.obj, log)
+    found = found.unweighed
+    estimate = calc_estimate(found, log, prior=prior, noise=noise, seed=seed)
+    return add_estimate(found, estimate, log.source)
+
+
+def calc_estimate(
+    found: Identification,
+    log: MassTestLog,
+    *,
+    prior: AbsolutePrior | None = None,
+    noise: PoseNoise | None = None,
+    seed: int = 0,
+) -> AbsoluteEstimate:
+    """Calculates mass, center of mass, friction and gyration; see `estimate_masses`."""
     center, covariance = calc_center_prior(found)
     problem = MassProblem(
         log=log,
@@ -99,21 +113,34 @@ def estimate_masses(
         gravity=found.physics.gravity,
     )
     try:
-        estimate = _add_gyration(found, estimate_absolute(problem), seed)
+        return _add_gyration(found, estimate_absolute(problem), seed)
     except np.linalg.LinAlgError as error:
         raise IdentificationError(
             f"{log.source or 'weighings'}: no mass and center of mass are found that explain them; "
             "are force and force_std in N, and torque_x, torque_y and torque_std in N m?"
         ) from error
-    source = log.source or "weighings"
+
+
+def add_estimate(
+    found: Identification, estimate: AbsoluteEstimate, source: str = ""
+) -> Identification:
+    """Adds to a learned model what weighings say; see `estimate_masses`.
+
+    Args:
+        found: the model, of the pushes alone.
+        estimate: what the weighings say.
+        source: what names the weighings in messages.
+    """
     if estimate.contradictory:
-        return _note_center_outside(_add_estimate(found, estimate), source)
-    # As much as weighings leave open of the center of mass, they leave open of the gradient of the
-    # friction.
-    left = float(np.trace(estimate.center_covariance) / np.trace(covariance))
-    gradient = calc_gradient_std(found.obj.prior) * min(1.0, float(np.sqrt(left)))
-    found = replace(found, noise=replace(found.noise, friction_gradient=gradient))
-    return _note_center_outside(apply_absolute(found, estimate), source)
+        weighed = _attach_estimate(found, estimate)
+    else:
+        # As much as weighings leave open of the center of mass, they leave open of the gradient of
+        # the friction.
+        left = float(np.trace(estimate.center_covariance) / np.trace(calc_center_prior(found)[1]))
+        gradient = calc_gradient_std(found.obj.prior) * min(1.0, float(np.sqrt(left)))
+        noise = replace(found.noise, friction_gradient=gradient)
+        weighed = apply_absolute(replace(found, noise=noise), estimate)
+    return _note_center_outside(replace(weighed, pushed=found), source or "weighings")
 
 
 def _note_center_outside(found: Identification, source: str) -> Identification:
@@ -126,16 +153,11 @@ def _note_center_outside(found: Identification, source: str) -> Identification:
         source: what names the weighings.
     """
     assert found.absolute is not None
-    x, y = found.absolute.center_of_mass
-    distance = float(found.obj.outline.convex_hull.distance(Point(x, y)))
+    center = Point(found.absolute.center_of_mass)
+    distance = float(found.obj.outline.convex_hull.distance(center))
     if distance == 0:
         return found
-    message = (
-        f"{source}: they put the center of mass at [{x:.4g}, {y:.4g}] m, "
-        f"{distance * MM_PER_M:.1f} mm "
-        f"outside the outline of {found.obj.name}, where it cannot be. Are pose, place, edge and "
-        "force of each weighing right?"
-    )
+    message = describe_center_outside(found, distance, source)
     if found.status == IdentificationStatus.EXPLAINS_LITTLE:
         message = f"{found.message} {message}"
     return replace(found, status=IdentificationStatus.EXPLAINS_LITTLE, message=message)
@@ -229,10 +251,10 @@ def apply_absolute(found: Identification, estimate: AbsoluteEstimate) -> Identif
         friction=params.friction * friction,
         contact_friction=found.std.contact_friction,
     )
-    return _add_estimate(replace(found, parameters=(params,), std=std), estimate)
+    return _attach_estimate(replace(found, parameters=(params,), std=std), estimate)
 
 
-def _add_estimate(found: Identification, estimate: AbsoluteEstimate) -> Identification:
+def _attach_estimate(found: Identification, estimate: AbsoluteEstimate) -> Identification:
     """Adds an estimate and its statements to a model whose masses and frictions stay."""
     return replace(
         found,

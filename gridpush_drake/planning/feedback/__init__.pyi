@@ -1,8 +1,3 @@
-from .finger_world import FingerWorld as FingerWorld
-from .finger_world import FollowRun as FollowRun
-from .finger_world import LcpFingerWorld as LcpFingerWorld
-from .finger_world import PoseSensorModel as PoseSensorModel
-from .finger_world import follow as follow
 from .follow_log import FollowLog as FollowLog
 from .follow_log import SeenPose as SeenPose
 from .follow_options import FollowDecision as FollowDecision
@@ -16,4 +11,7 @@ from .pose_path import PosePath as PosePath
 from .pose_track import PoseTrack as PoseTrack
 from .pose_track import TrackOptions as TrackOptions
 from .push_follower import PushFollower as PushFollower
-from .pushed_object import FeedbackFinger as FeedbackFinger
+from .steered_finger import FollowRun as FollowRun
+from .steered_finger import PoseSensorModel as PoseSensorModel
+from .steered_finger import SteeredFinger as SteeredFinger
+from .steered_finger import follow as follow

@@ -26,9 +26,9 @@ from gridpush_drake.planning.feedback.path_planner import plan_pose_path
 from gridpush_drake.planning.feedback.pose_path import PosePath
 from gridpush_drake.planning.feedback.pose_track import TrackOptions
 from gridpush_drake.planning.feedback.push_follower import PushFollower
-from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
 from gridpush_drake.planning.loop_run import Learner
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.pushes.push_log import PushLog
 
 APPROACH_GAP = 0.012

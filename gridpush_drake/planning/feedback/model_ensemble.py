@@ -34,7 +34,7 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.feedback.pushed_object import make_model
+from gridpush_drake.planning.pushed_object import make_model
 
 LEAST_MASS = 1e-4
 """Least mass of a cell after a correction, as a fraction of the mean cell's."""
@@ -162,7 +162,7 @@ class ModelEnsemble:
         return corrects
 
     def _correct(self, pose: Array, motion: float) -> None:
-        """Corrects all models by a pose (3,) that was seen after a motion, m."""
+        """Corrects all models by a pose (3,), m and rad, seen after the object moved so far, m."""
         options = self.options
         arm = self._obj.radius_of_gyration
         tips = np.array(self._tips)

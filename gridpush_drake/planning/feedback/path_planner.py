@@ -36,10 +36,10 @@ from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.feedback.follow_options import FOLLOW_REASONS, FollowStatus
 from gridpush_drake.planning.feedback.pose_path import PosePath
 from gridpush_drake.planning.feedback.push_search import check_moves
-from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger, make_model, make_room
 from gridpush_drake.planning.feedback.ways import make_outline_path
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.pushed_object import FeedbackFinger, make_model, make_room
 
 MOVE_LENGTH = 0.03
 """Way of the finger in a move, m."""

@@ -15,7 +15,7 @@ from gridpush_drake.dynamics.kernels.steering.plan_search import (
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.planning.feedback.follow_options import FollowOptions
 from gridpush_drake.planning.feedback.push_search import PushMoves
-from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 
 SPEED_RANGE = (0.4, 1.0)
 """Least and greatest speed of a stroke, as a fraction of the finger's."""

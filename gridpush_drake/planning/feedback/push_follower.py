@@ -53,13 +53,13 @@ from gridpush_drake.planning.feedback.pose_path import PathProgress, PosePath
 from gridpush_drake.planning.feedback.pose_track import PoseTrack, TrackOptions, is_plausible
 from gridpush_drake.planning.feedback.push_candidates import draw_candidates
 from gridpush_drake.planning.feedback.push_search import TrackingCost, search_push
-from gridpush_drake.planning.feedback.pushed_object import (
+from gridpush_drake.planning.feedback.ways import make_outline_path
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.pushed_object import (
     FeedbackFinger,
     covers_places,
     make_room,
 )
-from gridpush_drake.planning.feedback.ways import make_outline_path
-from gridpush_drake.planning.push_constraints import PushConstraints
 
 GOAL_SHRINKAGE = 0.2
 """A plan ends as soon as the object is within this fraction of the goal's tolerances."""

@@ -18,9 +18,9 @@ from functools import cached_property
 import numpy as np
 
 from gridpush_drake.dynamics.bodies import DEFAULT_PAIR_FRICTION, Bodies
-from gridpush_drake.identification.joint_result import JointIdentification
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.multi_object.joint_result import JointIdentification
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

@@ -10,14 +10,14 @@ from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.bodies import describe_object
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
-from gridpush_drake.identification.joint_fit import NOISE, identify_together
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.multi_object.joint_fit import NOISE, JointSmoothFields
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.scene.belief import SceneBelief
@@ -118,7 +118,7 @@ class SceneLearner(Protocol):
 
 @dataclass(frozen=True)
 class SceneLearning:
-    """Learns all objects together, by `identify_together`, after certain numbers of pushes.
+    """Learns all objects together, by `identify`, after certain numbers of pushes.
 
     Attributes:
         after: numbers of pushes after which the objects are learned anew.
@@ -154,14 +154,12 @@ class SceneLearning:
         if known is not None and known.push_names == tuple(seen.name for seen in telling):
             return None
         names = tuple(f"object_{i}" for i in range(len(belief.objects)))
-        with threadpool_limits(limits=1, user_api="blas"):
-            found = identify_together(
-                Model(belief.objects),
-                PushLog(tuple(telling), names=names),
-                amplitudes=self.amplitudes,
-                noise=self.noise,
-                start=belief.identification,
-            )
+        found = identify(
+            Model(belief.objects),
+            PushLog(tuple(telling), names=names),
+            JointSmoothFields(self.noise, self.amplitudes),
+            start=belief.identification,
+        )
         learned = SceneBelief.of_identification(found, draws=len(belief.draws), seed=seed)
         return replace(learned, models=belief.models, learned_alone=belief.learned_alone)
 

@@ -27,7 +27,7 @@ from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterO
 from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
 from gridpush_drake.units import S_PER_NS
 
-BAGS_EXTRA = "pip install 'gridpush-drake[bags]'"
+BAGS_EXTRA = "pip install '.[bags]'"
 
 
 FORCE_SIZE = 3

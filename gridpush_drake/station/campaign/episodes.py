@@ -23,17 +23,15 @@ from gridpush_drake.files import is_file, make_folder
 from gridpush_drake.identification.absolute.errors import compare_with_truth
 from gridpush_drake.jobs.results import Results
 from gridpush_drake.jobs.run import QUIET_EXECUTION, Execution, run_jobs
-from gridpush_drake.planning.scene.fetching import POKE_KIND, SLIDE_KIND
 from gridpush_drake.report.table import INTERVAL_CONFIDENCE, Proportion, Table, Value, calc_mean
 from gridpush_drake.station.recording.run_recorder import RunRecorder, import_rosbags
 from gridpush_drake.station.scene.contents import use_object
 from gridpush_drake.station.scene.resolve import resolve
 from gridpush_drake.station.schema.scenario import PushScenario
 from gridpush_drake.station.schema.scenario_file import format_scenario, parse_scenario
-from gridpush_drake.station.tasks.pregrasp_task import PreGraspRecord
+from gridpush_drake.station.schema.task_table import DEFAULT_TASK
 from gridpush_drake.station.tasks.registry import TASK_KINDS
 from gridpush_drake.station.tasks.run_summary import calc_center_error
-from gridpush_drake.station.tasks.scene_task import SceneTaskRecord
 from gridpush_drake.station.tasks.task import Progress, StationTask, TaskRecord, TaskStatus
 from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
 
@@ -95,7 +93,7 @@ class EpisodeJob:
     object: str
     seed: int
     object_hash: str = ""
-    task: str = field(default="pregrasp", compare=False)
+    task: str = field(default=DEFAULT_TASK, compare=False)
     scenario: str = field(default="", compare=False)
     recording: str = field(default="", compare=False)
 
@@ -178,27 +176,13 @@ def run_episode(job: EpisodeJob) -> EpisodeOutcome:
         task = TASK_KINDS[job.task].make_task(resolve(scenario, known_object=known_object))
         record = task.run(progress=_watch(task, recorder))
     except GridPushError as error:
-        return EpisodeOutcome(
-            object=job.object,
-            seed=job.seed,
-            status=REFUSED_STATUS,
-            message=str(error),
-            outcome=GAVE_UP,
-            wall=perf_counter() - begin,
-        )
+        return _give_up(job, REFUSED_STATUS, str(error), perf_counter() - begin)
     except Exception as error:
         *_, last = traceback.extract_tb(error.__traceback__)
         message = (
             f"{type(error).__name__} in {Path(last.filename).name}, line {last.lineno}: {error}"
         )
-        return EpisodeOutcome(
-            object=job.object,
-            seed=job.seed,
-            status=BROKEN_STATUS,
-            message=message,
-            outcome=GAVE_UP,
-            wall=perf_counter() - begin,
-        )
+        return _give_up(job, BROKEN_STATUS, message, perf_counter() - begin)
     if record.status == TaskStatus.INTERRUPTED:
         raise KeyboardInterrupt
     if recorder is not None:
@@ -209,6 +193,18 @@ def run_episode(job: EpisodeJob) -> EpisodeOutcome:
     ends = {done: str(done), TaskStatus.DROPPED: DROPPED_OUTCOME, TaskStatus.NOT_LIFTED: NOT_LIFTED}
     outcome = DROPPED_OUTCOME if fell else ends.get(record.status, GAVE_UP)
     return _make_episode(job, record, outcome, perf_counter() - begin)
+
+
+def _give_up(job: EpisodeJob, status: str, message: str, wall: float) -> EpisodeOutcome:
+    """Makes the outcome of an episode that could not be run."""
+    return EpisodeOutcome(
+        object=job.object,
+        seed=job.seed,
+        status=status,
+        message=message,
+        outcome=GAVE_UP,
+        wall=wall,
+    )
 
 
 def _has_fallen(task: StationTask[Any]) -> bool:
@@ -232,22 +228,10 @@ def _make_episode(job: EpisodeJob, record: TaskRecord, outcome: str, wall: float
         status=str(record.status),
         message=record.message,
         outcome=outcome,
-        pushes=len(record.log),
         duration=record.duration,
         wall=wall,
+        **TASK_KINDS[job.task].count_made(record),
     )
-    if isinstance(record, PreGraspRecord):
-        raised = None if np.isnan(record.raised) else record.raised
-        episode = replace(
-            episode, pokes=record.last.pokes, slides=record.last.slides, raised=raised
-        )
-    if isinstance(record, SceneTaskRecord):
-        kinds = record.list_kinds()
-        raised = None if np.isnan(record.raised) else record.raised
-        # Only fetching makes pushes of several kinds.
-        pokes = kinds.count(POKE_KIND) if any(kinds) else None
-        slides = kinds.count(SLIDE_KIND) if any(kinds) else None
-        episode = replace(episode, pushes=record.pushes, pokes=pokes, slides=slides, raised=raised)
     if record.estimates:
         error = calc_center_error(record, record.estimates[-1].params)
         episode = replace(episode, center_of_mass_error=error)

@@ -27,6 +27,7 @@ from gridpush_drake.errors import GridPushError, OutputError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.files import exists, is_file
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.station.campaign.episodes import (
     RECORDINGS_FOLDER,
     SCENARIO_FILE,
@@ -43,7 +44,7 @@ from gridpush_drake.station.campaign.lerobot_frames import (
 from gridpush_drake.station.recording.run_recording import read_run
 from gridpush_drake.station.robot.robot import find_robot
 from gridpush_drake.station.schema.scenario_file import read_scenario
-from gridpush_drake.station.tasks.registry import TASK_KINDS, TaskName
+from gridpush_drake.station.tasks.registry import TASK_KINDS
 from gridpush_drake.units import BYTES_PER_MEGABYTE
 
 FORMAT_VERSION = "v3.0"
@@ -74,17 +75,6 @@ EPISODES_FILE = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.par
 
 INFO_FILE = "meta/info.json"
 """File by which a folder is known for a dataset."""
-
-TASK_SENTENCES = {
-    TaskName.identify: "Poke the {} to learn where it is heavy.",
-    TaskName.push: "Push the {} to its goal.",
-    TaskName.pregrasp: "Slide the {} to the table's edge, grasp it there and lift it.",
-    TaskName.follow: "Push the {} along a path between the posts.",
-    TaskName.separate: "Push the {} and the other objects apart.",
-    TaskName.rearrange: "Push the {} and the other objects to their goals.",
-    TaskName.fetch: "Clear the way for the {}, and grasp it at the table's edge.",
-}
-"""What the robot is to do, in words, by the campaign's task."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +202,7 @@ class _Writer:
         Raises:
             GridPushError: it has other features than the episodes before.
         """
-        words = TASK_SENTENCES[TaskName(self._task)].format(Path(job.object).stem.replace("_", " "))
+        words = TASK_KINDS[self._task].sentence.format(speak_name(Path(job.object).stem))
         task = self._tasks.setdefault(words, len(self._tasks))
         histogram = self._check(frames, source)
         count = len(frames)

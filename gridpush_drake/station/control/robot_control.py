@@ -181,6 +181,7 @@ def AddRobotControl(
     tip_bounds: Callable[[Array], str | None] | None = None,
     load: FeltLoad | None = None,
     tip_force: OutputPort | None = None,
+    steer_speed: float | None = None,
     all_seen: OutputPort | None = None,
 ) -> RobotControl:
     """Adds the systems that command the robot and learn the object, and connects them.
@@ -201,6 +202,7 @@ def AddRobotControl(
         load: what the arm feels; None where nothing is weighed.
         tip_force: (3,) force on the tip in W, N, where the finger can be steered by its velocity;
             None where it cannot.
+        steer_speed: greatest speed at which it can be steered, m/s; None where it cannot.
         all_seen: (3,) the same as `object_pose`, but NaN while any other object of the task is not
             seen, so that the executor waits, and looks out, for all of them; None where there is
             only the one.
@@ -261,9 +263,15 @@ def AddRobotControl(
         if grasping is not None:
             builder.Connect(pressing.GetOutputPort("status"), gate.GetInputPort("press_status"))
         commander = pressing
-    if tip_force is not None:
+    if tip_force is not None and steer_speed is not None:
         commander = _AddSteerExecutor(
-            builder, setting, executor, commander=commander, reach=reach, tip_force=tip_force
+            builder,
+            setting,
+            executor,
+            commander=commander,
+            reach=reach,
+            tip_force=tip_force,
+            speed=steer_speed,
         )
     builder.Connect(commander.GetOutputPort("tip_pose"), kinematics.GetInputPort("X_AE_desired"))
 
@@ -370,6 +378,7 @@ def _AddSteerExecutor(
     commander: PushExecutor | GraspExecutor | PressExecutor,
     reach: ArmReach,
     tip_force: OutputPort,
+    speed: float,
 ) -> SteerExecutor:
     """Adds the executor of steering behind the other executors, and exports its ports.
 
@@ -380,14 +389,14 @@ def _AddSteerExecutor(
         commander: the executor whose tip pose is passed on while nobody steers.
         reach: says whether the arm can follow a path.
         tip_force: (3,) force on the tip in W, N.
+        speed: greatest speed of the finger, m/s.
     """
     scenario = setting.scenario
-    follow = scenario.follow
-    region = make_steer_region(setting, reach)
+    region = make_steer_region(setting, reach, speed)
     style = SteerOptions(
         travel_height=scenario.finger.travel_height,
         push_height=scenario.finger.push_height,
-        max_speed=max(follow.finger_speed, follow.walking_speed),
+        max_speed=speed,
         max_force=FORCE_FRACTION * scenario.safety.force,
     )
     # The follower keeps to the same region by a grid of places, which is a little less exact.

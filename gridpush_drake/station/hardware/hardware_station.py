@@ -306,7 +306,7 @@ def MakeHardwareStation(
     *,
     show_object: bool = True,
     learning: Learning | None = None,
-    steered: bool = False,
+    steer_speed: float | None = None,
     several: bool = False,
     name: str = "station",
 ) -> HardwareStation:
@@ -320,7 +320,8 @@ def MakeHardwareStation(
         meshcat: has no effect: nothing is simulated that could be shown.
         show_object: has no effect.
         learning: which pushes are learned from; None for the first `scenario.pokes.count`.
-        steered: whether the finger can be steered by its velocity, by the port `steer_command`.
+        steer_speed: greatest speed at which the finger can be steered by the port `steer_command`,
+            m/s; None for a station without this port.
         several: whether the task is with all objects: it then waits until all of them are seen.
         name: name of the station in a Diagram.
 
@@ -378,7 +379,8 @@ def MakeHardwareStation(
         gripper_state=gripper_state,
         tip_bounds=make_bounds(setting),
         load=load,
-        tip_force=tip.GetOutputPort("force") if steered else None,
+        tip_force=tip.GetOutputPort("force"),
+        steer_speed=steer_speed,
         all_seen=all_seen,
     )
     guard = _AddGuard(builder, setting, control, status=status, tip=tip, several=several)

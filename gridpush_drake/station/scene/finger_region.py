@@ -97,14 +97,17 @@ def make_finger_region(setting: Surroundings, reach: ArmReach, inset: float = 0.
     return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius + inset)
 
 
-def make_steer_region(setting: Surroundings, reach: ArmReach) -> BaseGeometry:
+def make_steer_region(setting: Surroundings, reach: ArmReach, speed: float) -> BaseGeometry:
     """Makes the region in which the tip's center may be while the finger is steered, W, m.
 
     It is that of `make_finger_region`, but for what is near the limits of workspace and reach, and
     for where the arm is too stretched to move its finger as fast as it may be steered.
+
+    Args:
+        setting: robot and scene.
+        reach: says whether the arm can follow a path.
+        speed: greatest speed of the finger, m/s.
     """
-    follow = setting.scenario.follow
-    speed = max(follow.finger_speed, follow.walking_speed)
     region = _make_reach_region(setting, reach, STEER_INSET, speed)
     return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius)
 

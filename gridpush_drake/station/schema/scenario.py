@@ -1,7 +1,8 @@
 """`PushScenario`: all that a station is made from, with a default for every field.
 
 These classes say what each field means and which values it may have, and refuse all others. The
-camera's fields are in `station.schema.camera_config`, and the kinds of values in
+camera's fields are in `station.schema.camera_config`, those of a section that one task alone needs
+beside that task (`station.schema.task_table`), and the kinds of values in
 `station.schema.fields`. How a scenario's YAML file is found, read and written is in
 `station.schema.scenario_file`. Whether a scenario makes sense as a whole is decided in
 `station.scene.resolve`.
@@ -13,7 +14,7 @@ description of each field is what a message says that the field should hold.
 
 from dataclasses import dataclass, field, replace
 from math import radians
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import BeforeValidator, Field, InstanceOf, PrivateAttr, ValidationError
 from pydrake.common.yaml import yaml_dump as dump_tagged
@@ -49,6 +50,7 @@ from gridpush_drake.station.schema.fields import (
     whole,
     within,
 )
+from gridpush_drake.station.schema.task_table import add_task_sections
 from gridpush_drake.yaml_file import explain, list_expected
 
 CURRENT_VERSION = 1
@@ -311,6 +313,9 @@ class WorkspaceConfig(Config):
     y: Interval = [-0.4, 0.4]
 
 
+Section = TypeVar("Section", bound=Config)
+
+
 def _read_directives(data: Any) -> Any:
     """Makes Drake's model directives of YAML data.
 
@@ -455,36 +460,11 @@ class ScatterConfig(Config):
     turn: Annotated[Number, not_negative("rad")] = 0.0
 
 
-class FollowConfig(Config):
-    """How the object is pushed along a path, with a finger that is steered while it pushes.
-
-    The path ends at `goal.pose`.
-
-    Attributes:
-        path: poses [x, y, theta] of B in W that the object is to go through, m and rad, the last of
-            them the end; null to plan a path to `goal.pose` around whatever stands on the table.
-        speed: speed of the object's centroid on the path, m/s.
-        finger_speed: greatest speed of the finger while it pushes, m/s.
-        walking_speed: greatest speed of the finger on its way round the object, m/s.
-        position_tolerance: distance from the path's end at which the object has arrived, m.
-        angle_tolerance: angle from that of the path's end at which it has arrived, rad.
-        plans: number of paths that are planned, one after another, if the object does not get on.
-    """
-
-    path: Annotated[
-        list[Pose] | None,
-        Field(min_length=2, description="a list of poses [x, y, theta], two or more, or null"),
-    ] = None
-    speed: Annotated[Number, positive("m/s", low=1e-3, high=0.5)] = 0.05
-    finger_speed: Annotated[Number, positive("m/s", low=1e-3, high=0.5)] = 0.1
-    walking_speed: Annotated[Number, positive("m/s", low=1e-3, high=0.5)] = 0.15
-    position_tolerance: Annotated[Number, positive("m", low=1e-4)] = 0.005
-    angle_tolerance: Annotated[Number, positive("rad", low=1e-3)] = radians(3)
-    plans: Annotated[int, whole(1)] = 3
-
-
+@add_task_sections
 class PushScenario(Config):
     """An object, the scene it lies in, and what is to be done with it.
+
+    Besides these fields it has the section of each task that declares one, under the task's name.
 
     Attributes:
         version: version of the schema.
@@ -509,7 +489,6 @@ class PushScenario(Config):
         simulation: how the world is simulated.
         workspace: where the finger's tip may be.
         goal: goal of the task to push the object somewhere.
-        follow: how the object is pushed along a path, in the task to do this; its end is the goal.
         pregrasp: how the object is slid to the table's edge and grasped, in the task to do this.
             Its scene has a gripper.
         weighing: how the object is weighed at the table's edge, if nothing is told of it.
@@ -550,7 +529,6 @@ class PushScenario(Config):
     simulation: SimulationConfig = SimulationConfig()
     workspace: WorkspaceConfig = WorkspaceConfig()
     goal: GoalConfig = GoalConfig()
-    follow: FollowConfig = FollowConfig()
     pregrasp: PreGraspConfig = PreGraspConfig()
     weighing: TiltTestConfig = TiltTestConfig()
     safety: SafetyConfig = SafetyConfig()
@@ -631,6 +609,10 @@ class PushScenario(Config):
         A scenario that was written with `objects` keeps their places there.
         """
         return self._names
+
+    def section(self, kind: type[Section]) -> Section:
+        """Returns the section of a kind, such as one that a task declares."""
+        return next(each for _, each in self if isinstance(each, kind))
 
     def replace_object(self, name: str) -> None:
         """Puts a shipped object, or that of an object file, in the place of the pushed one."""

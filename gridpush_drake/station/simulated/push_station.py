@@ -83,7 +83,7 @@ class PushStation(Station):
     - ``contact_results``: abstract `ContactResults` of the plant.
     - ``query_object``: abstract `QueryObject` of the scene graph.
     - ``pusher.force``: vector of 3, force on the finger's tip in W, N, only if the station is made
-      with `steered`.
+      with `steer_speed`.
     - ``other_0.pose`` and so on: vector of 3, X_WB of another object as its camera sees it,
       (x, y, theta), m and rad; one port for each of the scenario's `others`.
     - ``other_0.pose_true`` and so on: vector of 3, true X_WB of the same, for judging the task.
@@ -231,7 +231,7 @@ def MakePushStation(
     *,
     show_object: bool = True,
     learning: Learning | None = None,
-    steered: bool = False,
+    steer_speed: float | None = None,
     several: bool = False,
     name: str = "station",
 ) -> PushStation:
@@ -253,7 +253,8 @@ def MakePushStation(
         show_object: whether the object's plain outline is shown; False if its estimate is drawn
             in its place.
         learning: which pushes are learned from; None for the first `scenario.pokes.count`.
-        steered: whether the finger can be steered by its velocity, by the port `steer_command`.
+        steer_speed: greatest speed at which the finger can be steered by the port `steer_command`,
+            m/s; None for a station without this port.
         several: whether the task is with all objects. A color and depth camera then follows all of
             them, and the robot is told their outlines.
         name: name of the station in a Diagram, and of its path in Meshcat. Two stations in one
@@ -302,7 +303,7 @@ def MakePushStation(
         sensors,
         learning=learning,
         load_sensor=load_sensor,
-        steered=steered,
+        steer_speed=steer_speed,
         scene_view=scene_view,
     )
     builder.Connect(
@@ -342,7 +343,7 @@ def _add_control(
     sensors: Sensors,
     learning: Learning | None,
     load_sensor: ArmLoadSensor | None,
-    steered: bool,
+    steer_speed: float | None,
     scene_view: SceneViewPorts | None,
 ) -> RobotControl:
     """Adds what commands the robot, and has the errors of a color and depth camera logged."""
@@ -362,7 +363,7 @@ def _add_control(
             grasp_wrench=load_sensor.GetOutputPort("grasp_wrench"),
         )
     tip_force = None
-    if steered:
+    if steer_speed is not None:
         body = world.plant.GetBodyByName(world.setting.robot.finger.tip_frame)
         felt = builder.AddNamedSystem(
             "force_sensor", ContactForceSensor(body.index(), period=FORCE_PERIOD)
@@ -384,6 +385,7 @@ def _add_control(
         logged=logged,
         load=load,
         tip_force=tip_force,
+        steer_speed=steer_speed,
     )
 
 

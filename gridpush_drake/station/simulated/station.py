@@ -27,7 +27,7 @@ from gridpush_drake.systems.learning.grid_identifier import GridIdentifier
 
 StationMaker = Callable[..., "Station"]
 """A function that makes a station of a scenario and a Meshcat (or None), with `show_object`,
-`learning`, `steered` and `several` by keyword, as `MakePushStation` does."""
+`learning`, `steer_speed` and `several` by keyword, as `MakePushStation` does."""
 
 
 class Station(Diagram):
@@ -67,7 +67,7 @@ class Station(Diagram):
       be connected. The station has this port, ``press.status`` and ``weighing.log`` only if nothing
       is told of the object (`PushScenario.unknown_inertia`).
     - ``steer_command``: vector of 5, a finger that is steered, see `SteerCommand`. The station has
-      this port and ``steer.status`` only if it is made with `steered`.
+      this port and ``steer.status`` only if it is made with `steer_speed`.
     - ``executor.status``: abstract `PushStatus`, how the executor of pushes stands.
     - ``executor.tip_pose``: abstract `RigidTransform`, desired X_WP of the tip, whether in a push,
       in a grasp or steered.

@@ -1,6 +1,7 @@
-"""Pushing an unknown object along a path: it is poked, learned, and then pushed with feedback."""
+"""The task `follow`: an unknown object is poked, learned, and then pushed along a path."""
 
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 import shapely
@@ -8,34 +9,38 @@ from pydrake.geometry import Meshcat, Rgba
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from shapely import Polygon
 
-from gridpush_drake.errors import PlanningError, ScenarioError
-from gridpush_drake.geometry.se2 import Array, transform, transform_shape, wrap_angle
+from gridpush_drake.display.overlay import Mark, to_css
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
+from gridpush_drake.notebook import count as count_noun
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.planning.feedback.follow_calculations import FollowRules
 from gridpush_drake.planning.feedback.follow_options import FollowOptions
 from gridpush_drake.planning.feedback.pose_path import PathProgress, PosePath
-from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.station.control.robot_control import Learning
+from gridpush_drake.planning.pushed_object import FeedbackFinger
+from gridpush_drake.report.follow_figure import draw_follow_run, find_centers
+from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.station.scene.camera import calc_pose_age
 from gridpush_drake.station.scene.finger_region import make_steer_region
-from gridpush_drake.station.scene.resolve import ResolvedScenario, resolve
-from gridpush_drake.station.scene.setting import find_obstacles, make_surface
+from gridpush_drake.station.scene.resolve import ResolvedScenario
+from gridpush_drake.station.scene.setting import make_surface
 from gridpush_drake.station.schema.scenario import PushScenario
-from gridpush_drake.station.simulated.push_station import MakePushStation
-from gridpush_drake.station.simulated.station import Station, StationMaker
-from gridpush_drake.station.tasks.goal_check import check_place
+from gridpush_drake.station.simulated.station import Station
+from gridpush_drake.station.tasks.follow_config import FollowConfig
+from gridpush_drake.station.tasks.goal_check import check_place, list_misplaced
 from gridpush_drake.station.tasks.identify_task import make_policy
-from gridpush_drake.station.tasks.push_task import EDGE_MARGIN, AddGoal
+from gridpush_drake.station.tasks.push_task import EDGE_MARGIN, AddGoal, PlacedRecord, note_pose
 from gridpush_drake.station.tasks.task import (
     GO_ON,
-    ControlledRecord,
     Judgment,
     StationTask,
     TaskStatus,
     Waiting,
 )
+from gridpush_drake.station.tasks.task_kind import TaskKind
+from gridpush_drake.systems.base.messages import PushStatus
 from gridpush_drake.systems.control.follow_controller import (
     BLIND_STATUSES,
     SAMPLE_PERIOD,
@@ -44,6 +49,7 @@ from gridpush_drake.systems.control.follow_controller import (
     FollowMode,
 )
 from gridpush_drake.systems.control.poke_policy import PokePolicy
+from gridpush_drake.units import MM_PER_M
 
 OBSTACLE_MARGIN = 0.01
 """Least distance that object and finger are meant to keep from an obstacle, m."""
@@ -63,16 +69,23 @@ LINE_HEIGHT = 0.002
 """Height of these lines above the object's top, m."""
 
 
+FOLLOW_TITLES = {
+    FollowMode.POKING: "Poking the object, to learn it",
+    FollowMode.PLANNING: "Planning a path",
+    FollowMode.GOING: "The finger goes to the object",
+    FollowMode.FOLLOWING: "Pushing along the path",
+    FollowMode.REACHED: "At the end of the path",
+    FollowMode.FAILED: "Given up",
+}
+"""Titles beside the recording for the modes of the controller that follows a path."""
+
+
 @dataclass(repr=False)
-class FollowRecord(ControlledRecord[FollowControlStatus]):
+class FollowRecord(PlacedRecord[FollowControlStatus]):
     """What came of a run. It is filled while the task runs.
 
     Attributes:
         obstacles: outlines of what stands in the way, W, m.
-        goal: (3,) X_WB at the end of the path, m and rad.
-        pose: (3,) true X_WB of the object at the end, m and rad; NaN if it had fallen. With a real
-            robot it is the pose that was last seen.
-        error: mean distance of the cells from where they should be, with the object at `pose`, m.
         paths: the paths that were followed, in order.
         times: times, s, for `poses` and `tips`.
         poses: (3,) poses of the object while the finger was steered, as `pose`.
@@ -80,9 +93,6 @@ class FollowRecord(ControlledRecord[FollowControlStatus]):
     """
 
     obstacles: tuple[Polygon, ...]
-    goal: Array
-    pose: Array = field(default_factory=lambda: np.full(3, np.nan))
-    error: float = float("nan")
     paths: list[PosePath] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
@@ -101,14 +111,13 @@ class FollowRecord(ControlledRecord[FollowControlStatus]):
     @property
     def way(self) -> Array:
         """(K, 2) places of the cells' centroid while the finger was steered, W, m."""
-        poses = np.array(self.poses).reshape(-1, 3)
-        return transform(poses, self.obj.p_BC.mean(axis=0)[None])[:, 0]
+        return find_centers(self.obj, np.array(self.poses).reshape(-1, 3))
 
     @property
     def distance(self) -> float:
         """Distance of the cells' centroid from the path's end, m."""
-        middle = self.obj.p_BC.mean(axis=0)[None]
-        return float(np.linalg.norm(transform(self.pose, middle) - transform(self.goal, middle)))
+        here, end = find_centers(self.obj, np.stack([self.pose, self.goal]))
+        return float(np.linalg.norm(here - end))
 
     @property
     def turn(self) -> float:
@@ -148,81 +157,90 @@ class FollowTask(StationTask[FollowRecord]):
     lost_after = 5.0
     timeout = 15.0
 
-    def __init__(
-        self,
-        scenario: PushScenario | ResolvedScenario,
-        meshcat: Meshcat | None = None,
-        make_station: StationMaker = MakePushStation,
-    ) -> None:
-        """Makes the Diagram.
+    path_field: ClassVar[str] = "follow.path"
+    """The scenario's field that gives the path, for messages."""
 
-        Args:
-            scenario: the scenario, resolved or not; its `follow` says how the object is pushed
-                along, its `goal` where to, its `pokes.count` from how many pokes it is learned.
-            meshcat: Meshcat in which the station is shown; None for none.
-            make_station: makes the station; a simulated one by default.
+    @classmethod
+    def choose_steer_speed(cls, scenario: PushScenario) -> float:
+        """Chooses the greatest speed at which the finger is steered, m/s."""
+        return scenario.section(FollowConfig).steer_speed
+
+    def AddController(self, builder: DiagramBuilder) -> Diagram:
+        """Adds what pokes and then follows the path, as one controller.
 
         Raises:
-            ScenarioError: the scenario makes no sense, or its path or goal cannot be followed.
-            StationError: nothing can be rendered on this computer; or see `MakeHardwareStation`.
-            PlanningError: the scenario's path makes no sense.
+            ScenarioError: the path or the goal cannot be followed.
+            PlanningError: the path makes no sense.
         """
-        resolved = resolve(scenario)
-        self.check(resolved)
-        scenario = resolved.scenario
-        builder = DiagramBuilder()
-        station = builder.AddSystem(
-            make_station(
-                resolved,
-                meshcat,
-                show_object=False,
-                learning=Learning(max_pushes=scenario.pokes.count),
-                steered=True,
-            )
-        )
+        station = self.station
         self.surface = make_surface(station.table_top)
-        self.rules = make_follow_rules(station)
-        check_path(station.obj, scenario, self.rules.constraints)
+        path = self.make_path(station.obj, station.scenario)
+        self.rules = make_follow_rules(station, path)
+        for name, pose in self.list_places(station.obj, station.scenario).items():
+            check_place(name, station.obj, pose, self.rules.constraints)
         self._policy = make_policy(station)
         self._follower = FollowController(
-            station.obj, self.rules, answer_delay=scenario.simulation.answer_delay
+            station.obj, self.rules, answer_delay=station.scenario.simulation.answer_delay
         )
-        self.controller = builder.AddNamedSystem(
+        controller: Diagram = builder.AddNamedSystem(
             "controller", _join_controllers(self._policy, self._follower)
         )
-        super().__init__(builder, station, self.controller, meshcat)
-        self._meshcat = meshcat
-        if meshcat is not None:
-            self._height = station.object_in_plant.height
-            AddGoal(meshcat, station.obj, self.rules.end, self._height)
+        return controller
+
+    def draw_goals(self, meshcat: Meshcat) -> None:
+        """Draws the object's translucent outline at the path's end."""
+        station = self.station
+        AddGoal(meshcat, station.obj, self.rules.end, station.object_in_plant.height)
 
     @classmethod
     def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
         """Lists why the path or the goal cannot be followed; see `StationTask.list_faults`."""
         scenario = resolved.scenario
-        follow = scenario.follow
+        follow = scenario.section(FollowConfig)
         faults = []
         if follow.speed > follow.finger_speed:
             faults.append(
                 f"follow.speed is {follow.speed:g} m/s; expected at most follow.finger_speed, "
                 f"{follow.finger_speed:g} m/s"
             )
-        if follow.path is not None:
-            try:
-                PosePath(np.array(follow.path), follow.speed)
-            except PlanningError as error:
-                faults.append(f"follow.{error}")
-        # A camera measures the object's outline, which is not known yet.
-        if scenario.camera.kind == "ideal":
-            faults += _list_misplaced(resolved)
-        return faults
+        try:
+            places = cls.list_places(resolved.obj, scenario)
+        except PlanningError as error:
+            return [*faults, str(error).replace("path", cls.path_field, 1)]
+        margins = PushConstraints(edge_margin=EDGE_MARGIN, obstacle_margin=OBSTACLE_MARGIN)
+        return faults + list_misplaced(places, resolved, margins)
+
+    @classmethod
+    def make_path(cls, obj: GridObject, scenario: PushScenario) -> PosePath | None:
+        """Makes the path that a scenario gives; None if one to the goal is to be planned.
+
+        Raises:
+            PlanningError: the path makes no sense; the message begins with "path".
+        """
+        follow = scenario.section(FollowConfig)
+        return None if follow.path is None else PosePath(np.array(follow.path), follow.speed)
+
+    @classmethod
+    def list_places(cls, obj: GridObject, scenario: PushScenario) -> dict[str, Array]:
+        """Lists where an object should come, (3,) X_WB, m and rad: its path, or else its goal.
+
+        Returns:
+            The poses by what a message calls them.
+
+        Raises:
+            PlanningError: see `make_path`.
+        """
+        path = cls.make_path(obj, scenario)
+        if path is None:
+            return {scenario.names.name_field(0, "goal"): np.array(scenario.goal.pose)}
+        return {f"{cls.path_field}[{at}]": pose for at, pose in enumerate(path.poses)}
 
     def prepare(self, context: Context, seed: int) -> None:
         """Sets the seed from which the policy draws its pokes."""
         self._policy.SetSeed(context, seed)
-        if self._meshcat is not None:
+        if self.meshcat is not None:
             for path in (PLANNED_PATH, GONE_PATH):
-                self._meshcat.Delete(path)
+                self.meshcat.Delete(path)
 
     def make_record(self) -> FollowRecord:
         """Makes the empty record of a run."""
@@ -237,17 +255,12 @@ class FollowTask(StationTask[FollowRecord]):
 
     def note(self, record: FollowRecord, time: float) -> bool:
         """Writes down where object and finger are, and what the controller does."""
-        pose = np.array(self.read(self.judged_pose))
-        # The true pose is NaN once the object has fallen. A camera's is NaN whenever it does not
-        # see the object, which says nothing about where that lies.
-        if self.simulated or np.isfinite(pose).all():
-            record.pose = pose
-        record.error = float(calc_goal_error(record.obj, record.pose, record.goal))
+        note_pose(self, record)
         is_new = self.note_step(record, time)
         prepared = self.read("prepared", self.controller)
         if prepared.path is not None and all(path is not prepared.path for path in record.paths):
             record.paths.append(prepared.path)
-            self._draw(PLANNED_PATH, self._find_centers(prepared.path.poses), PLANNED_COLOR)
+            self._draw(PLANNED_PATH, find_centers(record.obj, prepared.path.poses), PLANNED_COLOR)
         if record.last.mode == FollowMode.FOLLOWING and np.isfinite(record.pose).all():
             record.times.append(time)
             record.poses.append(record.pose)
@@ -270,29 +283,25 @@ class FollowTask(StationTask[FollowRecord]):
             if self.is_at_work():
                 return GO_ON
             return TaskStatus(status.mode), status.reason
-        if waiting.idle > self.timeout:
-            return TaskStatus.STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
-        return GO_ON
-
-    def _find_centers(self, poses: Array) -> Array:
-        """Places (K, 2) of the cells' centroid at poses (K, 3), W, m."""
-        return transform(poses, self.station.obj.p_BC.mean(axis=0)[None])[:, 0]
+        return self.judge_idle(waiting, status.reason)
 
     def _draw(self, path: str, places: Array, color: Rgba) -> None:
         """Draws a line through places (K, 2), W, m, in Meshcat."""
-        if self._meshcat is None or len(places) < 2:
+        if self.meshcat is None or len(places) < 2:
             return
-        height = np.full(len(places), self._height + LINE_HEIGHT)
-        self._meshcat.SetLine(path, np.vstack([places.T, height]), LINE_WIDTH, color)
+        height = np.full(len(places), self.station.object_in_plant.height + LINE_HEIGHT)
+        self.meshcat.SetLine(path, np.vstack([places.T, height]), LINE_WIDTH, color)
 
 
-def make_follow_rules(station: Station) -> FollowRules:
-    """Makes the rules by which the controller pushes from a station and its scenario."""
+def make_follow_rules(station: Station, path: PosePath | None) -> FollowRules:
+    """Makes the rules by which the controller pushes from a station and its scenario.
+
+    Args:
+        station: the station.
+        path: the path; None to plan one to the scenario's goal.
+    """
     scenario = station.scenario
-    follow = scenario.follow
-    path = None
-    if follow.path is not None:
-        path = PosePath(np.array(follow.path), follow.speed)
+    follow = scenario.section(FollowConfig)
     return FollowRules(
         goal=np.array(scenario.goal.pose),
         finger=FeedbackFinger(
@@ -307,7 +316,7 @@ def make_follow_rules(station: Station) -> FollowRules:
             obstacles=station.obstacles,
             edge_margin=EDGE_MARGIN,
             obstacle_margin=OBSTACLE_MARGIN,
-            finger_region=make_steer_region(station, station.reach),
+            finger_region=make_steer_region(station, station.reach, follow.steer_speed),
         ),
         options=FollowOptions(
             position_tolerance=follow.position_tolerance, angle_tolerance=follow.angle_tolerance
@@ -317,46 +326,6 @@ def make_follow_rules(station: Station) -> FollowRules:
         pose_delay=calc_shown_age(scenario),
         seed=scenario.seed,
     )
-
-
-def list_places(scenario: PushScenario) -> dict[str, list[float]]:
-    """Lists where an object should come, X_WB, m and rad: its path, or else its goal.
-
-    Returns:
-        The poses by the names of their fields.
-    """
-    path = scenario.follow.path
-    if path is not None:
-        return {f"follow.path[{at}]": pose for at, pose in enumerate(path)}
-    return {scenario.names.name_field(0, "goal"): scenario.goal.pose}
-
-
-def check_path(obj: GridObject, scenario: PushScenario, constraints: PushConstraints) -> None:
-    """Checks what can be known of a goal and a path before anything was learned.
-
-    Raises:
-        ScenarioError: at the goal, or on a path that is told, the object would touch an obstacle or
-            hang over the table's edge.
-    """
-    for name, pose in list_places(scenario).items():
-        check_place(name, obj, np.array(pose), constraints)
-
-
-def _list_misplaced(resolved: ResolvedScenario) -> list[str]:
-    """Lists which poses of the path or the goal are not on the table, or at an obstacle."""
-    constraints = PushConstraints(
-        surface=make_surface(resolved.table_top),
-        obstacles=find_obstacles(resolved),
-        edge_margin=EDGE_MARGIN,
-        obstacle_margin=OBSTACLE_MARGIN,
-    )
-    faults = []
-    for name, pose in list_places(resolved.scenario).items():
-        try:
-            check_place(name, resolved.obj, np.array(pose), constraints)
-        except ScenarioError as error:
-            faults.append(str(error))
-    return faults
 
 
 def calc_shown_age(scenario: PushScenario) -> float:
@@ -384,3 +353,105 @@ def _join_controllers(policy: PokePolicy, follower: FollowController) -> Diagram
         builder.ExportOutput(follower.GetOutputPort(name), name)
     diagram: Diagram = builder.Build()
     return diagram
+
+
+class FollowKind(TaskKind):
+    """A robot pokes an object, learns it, and pushes it along a path with feedback."""
+
+    help = (
+        "poke and learn it, and push it along a path between obstacles, with a finger that is "
+        "steered ten times a second"
+    )
+    sentence = "Push the {} along a path between the posts."
+    station = FollowTask
+    done = TaskStatus.REACHED
+    scenario = "slalom"
+    hides = True
+    marks = (
+        Mark(to_css(PLANNED_COLOR), "where the object should go, and lie at the end"),
+        Mark(to_css(GONE_COLOR), "where it went"),
+    )
+
+    def count_steps(self, scenario: PushScenario) -> int:
+        """Counts the pokes, and the path."""
+        return scenario.pokes.count + 1
+
+    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
+        """Names the poke, or what the controller does afterwards."""
+        now: FollowControlStatus = task.read("status", task.controller)
+        if now.mode == FollowMode.POKING:
+            return f"poke {status.executed + (not status.ready)}, {status.phase}", status.executed
+        return FOLLOW_TITLES[now.mode], status.executed
+
+    def name_phase(self, status: Any) -> str:
+        """Returns a title for what the controller does."""
+        return FOLLOW_TITLES[status.mode]
+
+    def summarize(self, record: FollowRecord) -> dict[str, Any]:
+        """Adds to the summary how the object kept to its path, and where it ended."""
+        return super().summarize(record) | {
+            "cause": record.last.cause,
+            "pokes": record.pokes,
+            "plans": record.last.plans,
+            "goal": record.goal.tolist(),
+            "distance": record.distance,
+            "turn": record.turn,
+            "path_rms": record.calc_rms(),
+            "steering_seconds": record.steering_time,
+            "clearance": record.calc_clearance() if record.obstacles else None,
+        }
+
+    def describe(self, summary: dict[str, Any]) -> list[str]:
+        """Tells whether the object came to the path's end, and how near it kept to the path."""
+        name = speak_name(summary["object"])
+        pokes = count_noun(summary["pokes"], "poke")
+        lines = [f"The {name} after {pokes}: {summary['message']}"]
+        if np.isfinite(summary["path_rms"]):
+            lines.append(
+                f"  in {summary['steering_seconds']:.1f} s, {summary['path_rms'] * MM_PER_M:.1f} "
+                "mm from "
+                f"its path (root mean square); {summary['distance'] * MM_PER_M:.1f} mm and "
+                f"{np.degrees(summary['turn']):.1f}° from the end"
+            )
+        force = summary["limit_report"]["force"]
+        lines.append(f"  greatest force on the finger: {force:.1f} N")
+        if summary["limit_report"]["touched"]:
+            pairs = (" and ".join(pair) for pair in summary["limit_report"]["touched"])
+            lines.append(f"  these touched, but should not: {'; '.join(pairs)}")
+        return lines
+
+    def make_summary(self, record: FollowRecord) -> ReportSummary:
+        """Shows the path, the object's way and what stood in it."""
+        path = record.paths[-1] if record.paths else None
+        away = (
+            f"{record.calc_clearance() * MM_PER_M:.0f} mm" if record.obstacles else "nothing there"
+        )
+        return ReportSummary(
+            headline=record.message,
+            facts=(
+                ("pokes", str(record.pokes)),
+                ("on its way", f"{record.steering_time:.1f} s"),
+                ("from the path, RMS", f"{record.calc_rms() * MM_PER_M:.1f} mm"),
+                ("nearest to an obstacle", away),
+                ("greatest force", f"{record.limit_report.force:.1f} N"),
+            ),
+            figure=draw_follow_run(
+                record.obj,
+                planned=np.empty((0, 3)) if path is None else path.poses,
+                poses=record.poses,
+                tips=record.tips,
+                times=record.times,
+                distances=record.calc_distances(),
+                goal=record.goal,
+                surface=record.surface,
+                obstacles=record.obstacles,
+            ),
+            caption="Left: the path of the object's middle as it was planned, its way, and the "
+            "finger's; the object dotted where it should end. Right: how far the middle was from "
+            "its path.",
+            heads=("time", "what", "why"),
+            steps=[
+                (f"{step.time:.1f}\N{NO-BREAK SPACE}s", step.status.mode, step.status.reason)
+                for step in record.steps
+            ],
+        )

@@ -5,6 +5,9 @@ that would hang over the table's edge there, touch an obstacle, or lie where the
 come to it. Whether there is a way to the goal is known only on the way.
 """
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
@@ -12,6 +15,8 @@ from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.push_constraints import PushConstraints, make_body
+from gridpush_drake.station.scene.resolve import ResolvedScenario
+from gridpush_drake.station.scene.setting import find_obstacles, make_surface
 
 EXPECTED_POSE = "expected [x, y, theta] (m, rad)"
 """What a pose of a scenario should be, for messages."""
@@ -46,6 +51,34 @@ def check_place(name: str, obj: GridObject, pose: Array, constraints: PushConstr
             f"{constraints.obstacle_margin:g} m to an obstacle; {EXPECTED_POSE} clear of all of "
             "them"
         )
+
+
+def list_misplaced(
+    places: Mapping[str, Array], resolved: ResolvedScenario, margins: PushConstraints
+) -> list[str]:
+    """Lists at which poses the object would hang over the table's edge, or touch an obstacle.
+
+    Args:
+        places: (3,) X_WB, m and rad, by the names of the scenario's fields.
+        resolved: the scenario.
+        margins: rules of which the margins from the table's edge and from obstacles hold here.
+
+    Returns:
+        A message for each; none with a camera, for that measures the outline, which is not known
+        yet.
+    """
+    if resolved.scenario.camera.kind != "ideal":
+        return []
+    constraints = replace(
+        margins, surface=make_surface(resolved.table_top), obstacles=find_obstacles(resolved)
+    )
+    faults = []
+    for name, pose in places.items():
+        try:
+            check_place(name, resolved.obj, pose, constraints)
+        except ScenarioError as error:
+            faults.append(str(error))
+    return faults
 
 
 def check_reach(

@@ -1,16 +1,21 @@
-"""An experiment: the station pokes an object that it knows nothing about, and learns it.
+"""The task `identify`: the station pokes an object that it knows nothing about, and learns it.
 
 Then it is tested on further pushes, which are only predicted.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
-from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, DiagramBuilder
 
+from gridpush_drake.display.overlay import Phase
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import StationError
+from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.objects.object_file import speak_name
+from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.exploration.random_pokes import (
     PokeRegion,
     RandomPokeOptions,
@@ -18,12 +23,13 @@ from gridpush_drake.planning.exploration.random_pokes import (
 )
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.page import make_report
+from gridpush_drake.report.progress import calc_progress
 from gridpush_drake.station.scene.finger_region import MakeFingerRegion
 from gridpush_drake.station.scene.posts import leave_out
-from gridpush_drake.station.scene.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.schema.scenario import PushScenario
-from gridpush_drake.station.simulated.push_station import MakePushStation
-from gridpush_drake.station.simulated.station import Station, StationMaker
+from gridpush_drake.station.simulated.station import Station
+from gridpush_drake.station.tasks.run_summary import calc_center_errors, compare_errors
 from gridpush_drake.station.tasks.task import (
     GO_ON,
     OBSERVATION_PERIOD,
@@ -32,6 +38,12 @@ from gridpush_drake.station.tasks.task import (
     TaskRecord,
     TaskStatus,
     Waiting,
+)
+from gridpush_drake.station.tasks.task_kind import (
+    BEFORE_LOOKING,
+    FIRST_TITLE,
+    WEIGHINGS_FILE,
+    TaskKind,
 )
 from gridpush_drake.systems.base.messages import PushStatus
 from gridpush_drake.systems.control.poke_policy import PokePolicy, make_command
@@ -128,31 +140,13 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
     lost_after = LOST_AFTER
     timeout = 10.0
 
-    def __init__(
-        self,
-        scenario: PushScenario | ResolvedScenario,
-        meshcat: Meshcat | None = None,
-        make_station: StationMaker = MakePushStation,
-    ) -> None:
-        """Makes the Diagram.
-
-        Args:
-            scenario: the scenario, resolved or not; its `pokes` say how the object is poked.
-            meshcat: Meshcat in which the station is shown; None for none.
-            make_station: makes the station; a simulated one by default.
-
-        Raises:
-            ScenarioError: the scenario makes no sense.
-            StationError: nothing can be rendered on this computer; or see `MakeHardwareStation`.
-        """
-        resolved = resolve(scenario)
-        scenario = resolved.scenario
-        builder = DiagramBuilder()
-        station = builder.AddSystem(make_station(resolved, meshcat, show_object=False))
-        self.controller = builder.AddNamedSystem(
-            "policy", make_policy(station, scenario.pokes.test_count)
+    def AddController(self, builder: DiagramBuilder) -> PokePolicy:
+        """Adds the policy, which pokes as the scenario's `pokes` say."""
+        test_pushes = self.station.scenario.pokes.test_count
+        policy: PokePolicy = builder.AddNamedSystem(
+            "policy", make_policy(self.station, test_pushes)
         )
-        super().__init__(builder, station, self.controller, meshcat)
+        return policy
 
     def prepare(self, context: Context, seed: int) -> None:
         """Sets the seed from which the policy draws its pokes."""
@@ -246,3 +240,110 @@ def make_policy(station: Station, test_pushes: int = 0) -> PokePolicy:
         test_distance=pokes.test_distance,
         answer_delay=scenario.simulation.answer_delay,
     )
+
+
+class IdentifyKind(TaskKind):
+    """A robot pokes an object it knows nothing about, and comes to know it."""
+
+    help = "poke the object, learn where it is heavy, and test what was learned"
+    sentence = "Poke the {} to learn where it is heavy."
+    station = IdentifyTask
+    has_goal = False
+    counts_pokes = True
+    left_out = (WEIGHINGS_FILE,)
+
+    def count_steps(self, scenario: PushScenario) -> int:
+        """Counts the pushes to learn from and those held out."""
+        return scenario.pokes.count + scenario.pokes.test_count
+
+    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
+        """Names the push that is being made, and why others were refused."""
+        scenario = task.station.scenario
+        total = self.count_steps(scenario)
+        kind = "push" if status.executed < scenario.pokes.count else "held-out push"
+        refused = ""
+        if status.reason:
+            refused = f" (refused {status.refused}: {status.reason})"
+        number = min(status.executed + 1, total)
+        return f"{kind} {number} of {total}, {status.phase}{refused}", status.executed
+
+    def list_phases(self, record: IdentifyTaskRecord) -> list[Phase]:
+        """Lists the phases of all pushes: first those to learn from, then those held out."""
+        return [self._name_push(status, time, record.training) for time, status in record.phases]
+
+    def describe_phase(self, task: Any, status: PushStatus, time: float) -> Phase | None:
+        """Describes what the executor of pushes does."""
+        return self._name_push(status, time, task.station.scenario.pokes.count)
+
+    def _name_push(self, status: PushStatus, time: float, training: int) -> Phase:
+        """Makes a phase of an executor's status; the first `training` pushes are learned from."""
+        begun = status.executed + (not status.ready)
+        if begun == 0:
+            return Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)
+        held_out = begun > training
+        kind = "Held-out push" if held_out else "Push"
+        title = FIRST_TITLE if status.ready else f"{kind} {begun}: {status.phase}"
+        detail = "Predicted only, to test what was learned." if held_out else ""
+        return Phase(max(0.0, time - OBSERVATION_PERIOD), title, detail)
+
+    def split_log(self, record: IdentifyTaskRecord) -> tuple[PushLog, PushLog]:
+        """Splits the log by the scenario's counts."""
+        return record.training_log, record.held_out_log
+
+    def make_report(self, record: IdentifyTaskRecord, recording: str | None = None) -> str:
+        """Makes the report, which shows how the error of the held-out pushes fell, push by push."""
+        training, held_out = self.split_log(record)
+        result = record.estimates[-1]
+        progress = calc_progress(record.estimates, training, record.truth)
+        learning = None
+        if held_out:
+            learning = [
+                calc_mean_cell_error(Model(record.obj, estimate.params, result.physics), held_out)
+                for estimate in (describe_prior(record.obj), *record.estimates)
+            ]
+        return make_report(
+            result,
+            training,
+            held_out or None,
+            record.truth,
+            learning,
+            camera_view=record.camera_view,
+            progress=progress,
+            recording=recording,
+        )
+
+    def summarize(self, record: IdentifyTaskRecord) -> dict[str, Any]:
+        """Adds to the summary the errors before and after learning."""
+        summary = super().summarize(record)
+        summary["pushes"] = len(record.training_log)
+        summary["held_out"] = len(record.held_out_log)
+        if not record.estimates:
+            return summary
+        estimate = record.estimates[-1]
+        summary["learned"] = estimate.message
+        center_errors = calc_center_errors(record)
+        compared = {"before": CellParameters.uniform(record.obj), "after": estimate.params}
+        for name, params in compared.items():
+            held_out_error = calc_mean_cell_error(
+                Model(record.obj, params, estimate.physics), record.held_out_log
+            )
+            summary[name] = {"held_out_cell_error": held_out_error}
+            if center_errors:
+                summary[name]["center_of_mass_error"] = center_errors[name]
+        return summary
+
+    def describe(self, summary: dict[str, Any]) -> list[str]:
+        """Tells what was learned, and the errors before and after learning."""
+        name = speak_name(summary["object"])
+        lines = [summary["message"]] if summary["status"] != TaskStatus.FINISHED else []
+        if "after" not in summary:
+            return [*lines, f"Nothing was learned about the {name}."]
+        lines.append(f"The {name} after {summary['pushes']} pushes: {summary['learned']}")
+        if summary["held_out"]:
+            what = f"error of {summary['held_out']} pushes held out"
+            lines.append(compare_errors(what, "held_out_cell_error", summary))
+        if "center_of_mass_error" in summary["after"]:
+            lines.append(
+                compare_errors("error of the center of mass", "center_of_mass_error", summary)
+            )
+        return lines

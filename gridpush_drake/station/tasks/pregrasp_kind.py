@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from gridpush_drake.identification.absolute.estimate import (
     INTERVAL_SIGMAS,
     AbsoluteEstimate,
-    describe_sources,
 )
+from gridpush_drake.identification.statements import describe_sources
 from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.report.page import ReportSummary
@@ -29,23 +29,11 @@ from gridpush_drake.station.tasks.run_summary import (
 from gridpush_drake.station.tasks.task import TaskStatus
 from gridpush_drake.station.tasks.task_kind import (
     FIRST_TITLE,
-    MODEL_FILE,
-    OBJECT_FILE,
-    PUSHES_FILE,
-    RECORDING_FILE,
-    REPORT_FILE,
-    SCENARIO_FILE,
-    STREAM_FILE,
-    TRUTH_FILE,
-    WEIGHINGS_FILE,
+    HELD_OUT,
     TaskKind,
 )
 from gridpush_drake.systems.base.messages import PreGraspMode, PushStatus
 from gridpush_drake.units import MM_PER_M
-
-GRASP_SCENARIO = "grasp"
-"""Name of the shipped scenario of the pre-grasp task."""
-
 
 PREGRASP_TITLES = {
     PreGraspMode.WAITING: FIRST_TITLE,
@@ -74,21 +62,14 @@ stands below."""
 class PreGraspKind(TaskKind):
     """A robot pokes an object, learns it, slides it to the table's edge, grasps and lifts it."""
 
+    help = "poke and learn it, slide it to the table's edge, grasp it there and lift it"
+    sentence = "Slide the {} to the table's edge, grasp it there and lift it."
     station = PreGraspTask
     done = TaskStatus.HELD
-    scenario = GRASP_SCENARIO
-    files = (
-        REPORT_FILE,
-        RECORDING_FILE,
-        MODEL_FILE,
-        OBJECT_FILE,
-        PUSHES_FILE,
-        WEIGHINGS_FILE,
-        STREAM_FILE,
-        TRUTH_FILE,
-        SCENARIO_FILE,
-    )
+    scenario = "grasp"
+    left_out = (HELD_OUT,)
     grasps = True
+    weighs = True
 
     def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
         """Names what the controller is doing."""
@@ -133,6 +114,14 @@ class PreGraspKind(TaskKind):
             lines.append(f"  weighed by {weighed['sources']}, each with a probability of 95 %:")
             lines += [f"  {what}: {value}, {more}" for what, value, more in list_weighed(weighed)]
         return lines
+
+    def count_made(self, record: PreGraspRecord) -> dict[str, Any]:
+        """Counts pokes and slides, too, and adds how far the object was raised."""
+        return super().count_made(record) | {
+            "pokes": record.last.pokes,
+            "slides": record.last.slides,
+            "raised": None if np.isnan(record.raised) else record.raised,
+        }
 
     def list_expectations(self, record: PreGraspRecord) -> list[ExpectedUncertainty]:
         """Lists how well each poke was expected to tell the center of mass.

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-from pydrake.geometry import Meshcat
 from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
@@ -25,7 +24,7 @@ from gridpush_drake.planning.exploration.designed_pokes import PokeOptions
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import FlatPart, find_held_grasps
-from gridpush_drake.planning.pregrasp.grasp.gripper import Gripper, PadLimit
+from gridpush_drake.planning.pregrasp.grasp.gripper import PadLimit
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp, choose_varied
 from gridpush_drake.planning.pregrasp.planner import ACCEPTED_FRACTION, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
@@ -37,13 +36,10 @@ from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.planning.weighing.sequence import SequenceOptions
 from gridpush_drake.station.control.robot_control import PRESS_FRACTION, Learning
 from gridpush_drake.station.scene.finger_region import MakeFingerRegion
-from gridpush_drake.station.scene.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.scene.resolve import ResolvedScenario
 from gridpush_drake.station.scene.setting import make_surface
-from gridpush_drake.station.schema.scenario import PushScenario
-from gridpush_drake.station.simulated.push_station import MakePushStation
-from gridpush_drake.station.simulated.station import Station, StationMaker
+from gridpush_drake.station.simulated.station import Station
 from gridpush_drake.station.tasks.task import (
-    GO_ON,
     ControlledRecord,
     Judgment,
     StationTask,
@@ -199,56 +195,35 @@ class PreGraspTask(StationTask[PreGraspRecord]):
 
     lost_after = 10.0
     timeout = 60.0
+    learning = Learning()
 
-    def __init__(
-        self,
-        scenario: PushScenario | ResolvedScenario,
-        meshcat: Meshcat | None = None,
-        make_station: StationMaker = MakePushStation,
-    ) -> None:
-        """Makes the Diagram.
-
-        Args:
-            scenario: the scenario, resolved or not; its scene has a gripper, and its `pregrasp`
-                says how the object is slid and grasped.
-            meshcat: Meshcat in which the station is shown; None for none.
-            make_station: makes the station; a simulated one by default.
+    def AddController(self, builder: DiagramBuilder) -> PreGraspController:
+        """Adds the controller, and makes the planner that decides for it.
 
         Raises:
-            ScenarioError: the scenario makes no sense, or its scene has no gripper.
-            StationError: the gripper reaches no place of the table's edge, or nothing can be
-                rendered on this computer; or see `MakeHardwareStation`.
+            StationError: the gripper reaches no place of the table's edge.
             PlanningError: the object is too thick for the gripper, the gripper's pads fit nowhere
                 on it, or the table is smaller than it.
         """
-        resolved = resolve(scenario)
-        self.check(resolved)
-        scenario = resolved.scenario
-        builder = DiagramBuilder()
-        self.station: Station = builder.AddSystem(
-            make_station(resolved, meshcat, show_object=False, learning=Learning())
-        )
         station = self.station
-        assert station.robot.gripper is not None
+        scenario = station.scenario
         self.surface = make_surface(station.table_top)
         self.obj = station.obj
-        gripper = station.robot.gripper.make_gripper()
-        force = gripper.limit_force(scenario.pregrasp.force)
-        gripper.check_thickness(self.obj, scenario.object_height)
-        pads = gripper.limit_pads(self.obj, force)
-        self._finder = GraspFinder(station, self.obj, self.surface, pads)
+        self._finder, options = make_finder(station, self.surface)
         kind = TiltTestPlanner if scenario.unknown_inertia else PreGraspPlanner
         self.planner = kind(
             self.obj,
             self.surface,
-            make_options(station, gripper, force),
+            options,
             limits=self._make_limits(),
             obstacles=station.obstacles,
         )
         if isinstance(self.planner, TiltTestPlanner):
             self.planner.weighing = make_tilt_test_options(station)
-        self.controller = builder.AddNamedSystem("controller", self._make_controller())
-        super().__init__(builder, station, self.controller, meshcat)
+        controller: PreGraspController = builder.AddNamedSystem(
+            "controller", self._make_controller()
+        )
+        return controller
 
     @classmethod
     def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
@@ -267,7 +242,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
     def note(self, record: PreGraspRecord, time: float) -> bool:
         """Writes down how high the object is, and what the controller does."""
         if self.simulated:
-            record.raised = self.calc_raised()
+            record.raised = calc_raised(self)
         return self.note_step(record, time)
 
     def judge(self, record: PreGraspRecord, waiting: Waiting) -> Judgment:
@@ -276,26 +251,13 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         if self.simulated and np.isnan(self.read(self.judged_pose)).any():
             return TaskStatus.DROPPED, f"The object fell: {status.reason}"
         if status.mode == PreGraspMode.HOLDING:
-            return self._judge_held(record)
+            return judge_lift(self, record.raised, "The object")
         if status.mode == PreGraspMode.FAILED:
             return TaskStatus.FAILED, status.reason
         at_rest = not self.is_at_work() and self.read("grasp.status").ready
         if waiting.unseen > self.lost_after and at_rest:
             return TaskStatus.LOST, f"The object has not been seen for {self.lost_after:g} s."
-        if waiting.idle > self.timeout:
-            return TaskStatus.STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
-        return GO_ON
-
-    def _judge_held(self, record: PreGraspRecord) -> Judgment:
-        """Judges whether the gripper that has closed and gone up truly holds the object."""
-        if not self.simulated:
-            return TaskStatus.HELD, "The gripper lifted the object and holds it."
-        height = f"{MM_PER_M * max(0.0, record.raised):.0f} mm"
-        if record.raised >= LIFTED_FRACTION * self.station.scenario.pregrasp.lift:
-            return TaskStatus.HELD, f"The object was lifted and held, {height} above the table."
-        return TaskStatus.NOT_LIFTED, (
-            f"The gripper closed and went up, but the object did not: {height}."
-        )
+        return self.judge_idle(waiting, status.reason)
 
     def finish(self, record: PreGraspRecord) -> None:
         """Marks the pushes in which a part hung over the edge, and cuts what was seen in the grasp.
@@ -320,10 +282,6 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             known = any(learned is one for one in record.estimates[-1:])
             if learned is not None and learned.push_names and not known:
                 record.estimates.append(learned)
-
-    def calc_raised(self) -> float:
-        """Calculates the height of the object's lowest corner above the table now, m."""
-        return calc_raised(self)
 
     def _make_limits(self) -> ArmLimits:
         """Makes the limits of what the planner may ask of the arm."""
@@ -380,17 +338,47 @@ def calc_raised(task: StationTask[Any]) -> float:
     return float((X_WB.rotation().matrix() @ p_BK.T)[2].min() + X_WB.translation()[2])
 
 
-def make_options(station: Station, gripper: Gripper, force: float) -> PreGraspOptions:
-    """Makes the planner's options from a station, its gripper and the force of that, N."""
-    pregrasp = station.scenario.pregrasp
-    speed = station.scenario.pokes.speed
-    if station.scenario.unknown_inertia:
+def judge_lift(task: StationTask[Any], raised: float, what: str, more: str = "") -> Judgment:
+    """Judges whether the gripper that has closed and gone up truly holds the object.
+
+    Args:
+        task: the task.
+        raised: height of the object's lowest point above the table, m.
+        what: what to call the object at the beginning of a sentence.
+        more: what else is true if it is held.
+    """
+    if not task.simulated:
+        return TaskStatus.HELD, "The gripper lifted the object and holds it."
+    height = f"{MM_PER_M * max(0.0, raised):.0f} mm"
+    if raised >= LIFTED_FRACTION * task.station.scenario.pregrasp.lift:
+        return TaskStatus.HELD, f"{what} was lifted and held, {height} above the table{more}."
+    return TaskStatus.NOT_LIFTED, (
+        f"The gripper closed and went up, but the object did not: {height}."
+    )
+
+
+def make_finder(station: Station, surface: SupportSurface) -> tuple[GraspFinder, PreGraspOptions]:
+    """Makes what finds grasps of a station's object, and the planner's options.
+
+    Raises:
+        PlanningError: the object is too thick for the gripper, or its pads fit nowhere on it.
+    """
+    scenario = station.scenario
+    assert station.robot.gripper is not None
+    gripper = station.robot.gripper.make_gripper()
+    force = gripper.limit_force(scenario.pregrasp.force)
+    gripper.check_thickness(station.obj, scenario.object_height)
+    pads = gripper.limit_pads(station.obj, force)
+    finder = GraspFinder(station, station.obj, surface, pads)
+    # how the object is poked and slid
+    pregrasp = scenario.pregrasp
+    speed = scenario.pokes.speed
+    if scenario.unknown_inertia:
         speed = min(speed, FELT_SPEED)
-    radius = station.robot.finger.tip_radius
     slide = SlideOptions()
-    pusher = Pusher(radius, speed, APPROACH_CLEARANCE)
+    pusher = Pusher(station.robot.finger.tip_radius, speed, APPROACH_CLEARANCE)
     contact: ContactOptions = replace(slide.contact, pusher=pusher)
-    return PreGraspOptions(
+    options = PreGraspOptions(
         gripper=gripper,
         pad_force=force,
         goal=GoalOptions(margin=pregrasp.margin),
@@ -401,6 +389,7 @@ def make_options(station: Station, gripper: Gripper, force: float) -> PreGraspOp
         max_slides=pregrasp.max_slides,
         max_arm=pregrasp.max_arm,
     )
+    return finder, options
 
 
 def list_gripper_faults(resolved: ResolvedScenario) -> list[str]:

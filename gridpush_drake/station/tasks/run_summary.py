@@ -1,8 +1,4 @@
-"""What the summaries of several kinds of tasks have in common: errors and counts, in words.
-
-The kinds themselves are in `station.tasks.registry`, `station.tasks.pregrasp_kind`,
-`station.tasks.follow_kind` and `station.tasks.scene_kinds`.
-"""
+"""What the summaries of several kinds of tasks have in common: errors and counts, in words."""
 
 from typing import Any
 

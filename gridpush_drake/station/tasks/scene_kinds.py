@@ -10,7 +10,7 @@ from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import count
-from gridpush_drake.planning.scene.fetching import FetchOptions
+from gridpush_drake.planning.scene.fetching import POKE_KIND, SLIDE_KIND, FetchOptions
 from gridpush_drake.planning.scene.joint_loop import SceneMode
 from gridpush_drake.planning.scene.separation import WANTED_CLEARANCE, calc_clearances_along
 from gridpush_drake.pushes.push_log import PushLog
@@ -107,6 +107,19 @@ class SceneKind(GoalKind):
             lines.append(f"  {name}, {summary['measured']}: {value * MM_PER_M:.1f} mm")
         return [*lines, *describe_camera_view(summary)]
 
+    def count_made(self, record: SceneTaskRecord) -> dict[str, Any]:
+        """Counts the pushes that were asked for, and adds how far object 0 was raised.
+
+        Pokes and slides are told apart only where pushes are for something.
+        """
+        kinds = record.list_kinds()
+        return {
+            "pushes": record.pushes,
+            "pokes": kinds.count(POKE_KIND) if any(kinds) else None,
+            "slides": kinds.count(SLIDE_KIND) if any(kinds) else None,
+            "raised": None if np.isnan(record.raised) else record.raised,
+        }
+
     def make_summary(self, record: SceneTaskRecord) -> ReportSummary:
         """Shows where the objects lay after every push."""
         # where they were seen at rest, and what that is worth
@@ -176,6 +189,8 @@ class SceneKind(GoalKind):
 class SeparateKind(SceneKind):
     """A robot pushes objects that touch apart, until each has room around it."""
 
+    help = "push them apart"
+    sentence = "Push the {} and the other objects apart."
     station = SeparateTask
     scenario = "separate"
     verb = "Separate"
@@ -184,6 +199,8 @@ class SeparateKind(SceneKind):
 class RearrangeKind(SceneKind):
     """A robot pushes objects to goals, and learns them on the way."""
 
+    help = "push each to a goal"
+    sentence = "Push the {} and the other objects to their goals."
     station = RearrangeTask
     scenario = "rearrange"
     verb = "Rearrange"
@@ -206,6 +223,8 @@ class RearrangeKind(SceneKind):
 class FetchKind(SceneKind):
     """A robot clears the way for one object, slides it to the table's edge and lifts it."""
 
+    help = "clear the way for one, and grasp it at the table's edge"
+    sentence = "Clear the way for the {}, and grasp it at the table's edge."
     station = FetchTask
     scenario = "fetch"
     verb = "Fetch"

@@ -57,23 +57,20 @@ from gridpush_drake.station.control.robot_control import Learning
 from gridpush_drake.station.scene.finger_region import MakeFingerRegion
 from gridpush_drake.station.scene.other_objects import draw_other_truth, list_parts
 from gridpush_drake.station.scene.posts import leave_out, place_posts
-from gridpush_drake.station.scene.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.scene.resolve import ResolvedScenario
 from gridpush_drake.station.scene.scene_camera import AddPosesTogether
 from gridpush_drake.station.scene.setting import make_surface
 from gridpush_drake.station.schema.scenario import PushScenario
-from gridpush_drake.station.simulated.push_station import MakePushStation, PushStation
-from gridpush_drake.station.simulated.station import Station, StationMaker
+from gridpush_drake.station.simulated.push_station import PushStation
 from gridpush_drake.station.tasks.pregrasp_task import (
     APPROACH_CLEARANCE,
-    LIFTED_FRACTION,
-    GraspFinder,
     calc_raised,
+    judge_lift,
     list_gripper_faults,
-    make_options,
+    make_finder,
 )
 from gridpush_drake.station.tasks.push_task import EDGE_MARGIN, GOAL_COLOR, MAX_PUSH
 from gridpush_drake.station.tasks.task import (
-    GO_ON,
     ControlledRecord,
     Judgment,
     StationTask,
@@ -82,7 +79,6 @@ from gridpush_drake.station.tasks.task import (
 )
 from gridpush_drake.systems.base.messages import PushCommand
 from gridpush_drake.systems.control.scene_controller import SceneController
-from gridpush_drake.units import MM_PER_M
 
 GOALS_PATH = "goals"
 """Path in Meshcat of the objects' outlines at their goals."""
@@ -176,47 +172,26 @@ class SceneTask(StationTask[SceneTaskRecord]):
     lost_after = 10.0
     timeout = 120.0
     pushes_others = True
+    # The station learns nothing by itself.
+    learning = Learning(max_pushes=0)
     has_goals = False
 
-    def __init__(
-        self,
-        scenario: PushScenario | ResolvedScenario,
-        meshcat: Meshcat | None = None,
-        make_station: StationMaker = MakePushStation,
-    ) -> None:
-        """Makes the Diagram.
-
-        Args:
-            scenario: the scenario, resolved or not, with other objects.
-            meshcat: Meshcat in which the station is shown; None for none.
-            make_station: makes the station; a simulated one by default.
+    def AddController(self, builder: DiagramBuilder) -> SceneController:
+        """Adds the controller, and makes the planner that decides for it.
 
         Raises:
-            ScenarioError: the scenario makes no sense, or has one object.
             PlanningError: goals overlap, or the wanted object cannot be grasped.
-            StationError: see `MakeHardwareStation`.
         """
-        resolved = resolve(scenario)
-        self.check(resolved)
-        scenario = resolved.scenario
-        # the station, which learns nothing by itself
-        builder = DiagramBuilder()
-        self.station: Station = builder.AddSystem(
-            make_station(
-                resolved,
-                meshcat,
-                show_object=False,
-                learning=Learning(max_pushes=0),
-                several=True,
-            )
-        )
         station = self.station
+        scenario = station.scenario
         # what the robot knows of the table and the objects
         self.surface = make_surface(station.table_top)
         self.objects = (station.obj, *(other.obj for other in station.others))
         self.names = name_objects(self.objects)
-        poses = np.array([scenario.object_pose, *(other.pose for other in station.others)])
-        self.goals = make_goals(scenario) if self.has_goals else np.full_like(poses, np.nan)
+        others = [other.pose for other in station.others]
+        self._begin = np.array([scenario.object_pose, *others])
+        self.goals = make_goals(scenario) if self.has_goals else np.full_like(self._begin, np.nan)
+        self._other_truths: tuple[CellParameters, ...] = ()
         # what decides, between the ports of a system
         self.planner = self.make_planner()
         loop = JointLoop(
@@ -228,17 +203,17 @@ class SceneTask(StationTask[SceneTaskRecord]):
             options=DETECTION_OPTIONS,
             seed=scenario.seed,
         )
-        self.controller = builder.AddNamedSystem(
+        controller: SceneController = builder.AddNamedSystem(
             "controller",
             SceneController(
                 loop, grasp_height=scenario.object_height / 2, lift=scenario.pregrasp.lift
             ),
         )
-        self._connect_poses(builder)
-        self._other_truths: tuple[CellParameters, ...] = ()
-        super().__init__(builder, station, self.controller, meshcat)
-        if meshcat is not None and self.has_goals:
-            self._draw_goals(meshcat)
+        # where all objects are
+        ports = [station.GetOutputPort(f"{name}.pose") for name in self.object_names]
+        together = AddPosesTogether(builder, ports, "object_poses")
+        builder.Connect(together, controller.GetInputPort("object_poses"))
+        return controller
 
     @classmethod
     def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
@@ -256,13 +231,6 @@ class SceneTask(StationTask[SceneTaskRecord]):
         if cls.has_goals:
             faults += _list_wrong_goals(resolved)
         return faults
-
-    def _connect_poses(self, builder: DiagramBuilder) -> None:
-        """Connects the poses of all objects with the controller."""
-        names = ["object.pose", *(f"{other.name}.pose" for other in self.station.others)]
-        ports = [self.station.GetOutputPort(name) for name in names]
-        poses = AddPosesTogether(builder, ports, "object_poses")
-        builder.Connect(poses, self.controller.GetInputPort("object_poses"))
 
     def make_planner(self) -> ScenePlanner:
         """Makes what decides for the controller."""
@@ -322,12 +290,8 @@ class SceneTask(StationTask[SceneTaskRecord]):
             goals=self.goals,
             poses=poses,
             other_truths=self._other_truths,
-            begin=np.array([self.station.scenario.object_pose, *self._list_other_poses()]),
+            begin=self._begin,
         )
-
-    def _list_other_poses(self) -> list[tuple[float, float, float]]:
-        """Lists where the scenario has the other objects, (x, y, theta), m and rad."""
-        return [other.pose for other in self.station.others]
 
     def list_objects(self) -> tuple[GridObject, ...]:
         """Lists the N objects, as the robot knows them."""
@@ -364,9 +328,7 @@ class SceneTask(StationTask[SceneTaskRecord]):
             return TaskStatus.FAILED, status.reason
         if status.mode is SceneMode.LOST:
             return TaskStatus.LOST, f"{status.reason} {self._read_message()}".strip()
-        if waiting.idle > self.timeout:
-            return TaskStatus.STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
-        return GO_ON
+        return self.judge_idle(waiting, status.reason)
 
     def _read_message(self) -> str:
         """Returns what a camera says that has not found all objects; empty if it has."""
@@ -391,10 +353,9 @@ class SceneTask(StationTask[SceneTaskRecord]):
     def _read_poses(self) -> Array:
         """Reads where all objects are, (N, 3) m and rad: truly, where that is known."""
         kind = "pose_true" if self.simulated else "pose"
-        names = ["object", *(other.name for other in self.station.others)]
-        return np.array([self.read(f"{name}.{kind}") for name in names])
+        return np.array([self.read(f"{name}.{kind}") for name in self.object_names])
 
-    def _draw_goals(self, meshcat: Meshcat) -> None:
+    def draw_goals(self, meshcat: Meshcat) -> None:
         """Draws the objects' translucent outlines at their goals."""
         meshcat.Delete(GOALS_PATH)
         heights = [self.station.object_in_plant.height]
@@ -464,17 +425,12 @@ class FetchTask(SceneTask):
         """Makes the planner, with what the gripper can take."""
         station = self.station
         scenario = station.scenario
-        assert station.robot.gripper is not None
         # what the gripper can take, and hold
-        gripper = station.robot.gripper.make_gripper()
-        force = gripper.limit_force(scenario.pregrasp.force)
-        gripper.check_thickness(station.obj, scenario.object_height)
-        pads = gripper.limit_pads(station.obj, force)
-        self._finder = GraspFinder(station, station.obj, self.surface, pads)
+        self._finder, pregrasp = make_finder(station, self.surface)
         # how the way is cleared, and the object is slid
         rules = self.make_rules()
         options = FetchOptions(
-            pregrasp=make_options(station, gripper, force),
+            pregrasp=pregrasp,
             search=replace(self.make_search(), candidates=32, firsts=3, seconds=8),
         )
         limits = ArmLimits(
@@ -529,16 +485,7 @@ class FetchTask(SceneTask):
 
     def _judge_held(self, record: SceneTaskRecord) -> Judgment:
         """Judges whether the gripper that has closed and gone up truly holds the object."""
-        if not self.simulated:
-            return TaskStatus.HELD, "The gripper lifted the object and holds it."
-        height = f"{MM_PER_M * max(0.0, record.raised):.0f} mm"
-        if record.raised >= LIFTED_FRACTION * self.station.scenario.pregrasp.lift:
-            return TaskStatus.HELD, (
-                f"The {self.names[0]} was lifted and held, {height} above the table; nothing fell."
-            )
-        return TaskStatus.NOT_LIFTED, (
-            f"The gripper closed and went up, but the object did not: {height}."
-        )
+        return judge_lift(self, record.raised, f"The {self.names[0]}", "; nothing fell")
 
 
 def name_objects(objects: tuple[GridObject, ...]) -> tuple[str, ...]:

@@ -29,11 +29,14 @@ from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import Sample
 from gridpush_drake.pushes.weighings import MassTestLog
+from gridpush_drake.station.control.robot_control import Learning
 from gridpush_drake.station.scene.other_objects import list_parts
-from gridpush_drake.station.scene.resolve import ResolvedScenario
+from gridpush_drake.station.scene.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scene.scene_camera import AddPosesTogether
+from gridpush_drake.station.schema.scenario import PushScenario
 from gridpush_drake.station.simulated.limit_monitor import LimitMonitor, LimitReport
-from gridpush_drake.station.simulated.station import Station
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.station.simulated.station import Station, StationMaker
 from gridpush_drake.systems.base.messages import GraspCommand, PushCommand, PushStatus
 from gridpush_drake.systems.learning.estimate_visualizer import EstimateVisualizer, ShownObject
 from gridpush_drake.systems.safety.guard_status import GuardMode, GuardStatus
@@ -260,8 +263,8 @@ class Drive(Protocol):
 class StationTask(Generic[RecordType]):
     """A station with a system that commands it, to be run once or many times.
 
-    A kind of task overrides `make_record`, `note`, `judge` and, if it needs to, `prepare` and
-    `finish`.
+    A kind of task overrides `AddController`, `make_record`, `note`, `judge` and, if it needs to,
+    `list_faults`, `choose_steer_speed`, `draw_goals`, `prepare` and `finish`.
 
     Attributes:
         station: the station.
@@ -270,6 +273,7 @@ class StationTask(Generic[RecordType]):
         simulator: the diagram's Simulator.
         simulated: whether the robot is simulated. Then the task also knows what the robot cannot
             see.
+        meshcat: Meshcat in which the station is shown; None for none.
         judged_pose: name of the station's port with the pose by which the object is judged: the
             true one if there is one.
     """
@@ -283,19 +287,46 @@ class StationTask(Generic[RecordType]):
     pushes_others: ClassVar[bool] = False
     """Whether the task is about the other objects on the table, too: it pushes and learns them."""
 
+    learning: ClassVar[Learning | None] = None
+    """From which pushes the station learns; None for the first `pokes.count` of the scenario."""
+
     def __init__(
-        self, builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat | None
+        self,
+        scenario: PushScenario | ResolvedScenario,
+        meshcat: Meshcat | None = None,
+        make_station: StationMaker = MakePushStation,
     ) -> None:
-        """Connects a station with what commands it, and builds the Diagram.
+        """Makes the station and what commands it, connects them, and builds the Diagram.
+
+        The controller's input ports that are named in `INPUT_SOURCES` and its output ports that are
+        named in `COMMAND_PORTS` are connected with the station.
 
         Args:
-            builder: a builder that has both, and whatever else the Diagram is to have.
-            station: the station.
-            controller: the system that commands it. Its input ports that are named in
-                `INPUT_SOURCES` and its output ports that are named in `COMMAND_PORTS` are
-                connected.
-            meshcat: Meshcat in which the estimate is shown; None for none.
+            scenario: the scenario, resolved or not.
+            meshcat: Meshcat in which the station and the estimate are shown; None for none.
+            make_station: makes the station; a simulated one by default.
+
+        Raises:
+            ScenarioError: the scenario makes no sense, or the task cannot be done in it.
+            PlanningError: an object, a goal or a path will not do.
+            StationError: nothing can be rendered on this computer, or the robot does not come where
+                the task needs it; or see `MakeHardwareStation`.
         """
+        resolved = resolve(scenario)
+        self.check(resolved)
+        builder = DiagramBuilder()
+        station = builder.AddSystem(
+            make_station(
+                resolved,
+                meshcat,
+                show_object=False,
+                learning=self.learning,
+                steer_speed=self.choose_steer_speed(resolved.scenario),
+                several=self.pushes_others,
+            )
+        )
+        self.station: Station = station
+        controller = self.AddController(builder)
         ports = map(controller.get_input_port, range(controller.num_input_ports()))
         for port in [port for port in ports if port.get_name() in INPUT_SOURCES]:
             builder.Connect(station.GetOutputPort(INPUT_SOURCES[port.get_name()]), port)
@@ -307,7 +338,6 @@ class StationTask(Generic[RecordType]):
             self._visualizer = AddEstimateVisualizer(
                 builder, station, controller, meshcat, several=self.pushes_others
             )
-        self.station = station
         self.controller = controller
         self.diagram = builder.Build()
         self.diagram.set_name(type(self).__name__)
@@ -317,6 +347,9 @@ class StationTask(Generic[RecordType]):
         # Times at which the object was last seen, and something was last new, s.
         self._last_seen = 0.0
         self._last_new = 0.0
+        self.meshcat = meshcat
+        if meshcat is not None:
+            self.draw_goals(meshcat)
 
     @classmethod
     def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
@@ -342,6 +375,18 @@ class StationTask(Generic[RecordType]):
         if faults:
             raise ScenarioError(". Also: ".join(faults))
 
+    @classmethod
+    def choose_steer_speed(cls, scenario: PushScenario) -> float | None:
+        """Chooses the greatest speed of a finger that is steered, m/s; here it is not steered."""
+        return None
+
+    def AddController(self, builder: DiagramBuilder) -> System:
+        """Adds the system that commands `station`, and whatever else the Diagram is to have."""
+        raise NotImplementedError
+
+    def draw_goals(self, meshcat: Meshcat) -> None:
+        """Draws where objects should come; here nothing."""
+
     def make_record(self) -> RecordType:
         """Makes the empty record of a run."""
         raise NotImplementedError
@@ -353,6 +398,17 @@ class StationTask(Generic[RecordType]):
     def judge(self, record: RecordType, waiting: Waiting) -> Judgment:
         """Decides whether the task is over, and how it ended."""
         raise NotImplementedError
+
+    def judge_idle(self, waiting: Waiting, reason: str) -> Judgment:
+        """Judges a task that goes on: it is stuck if nothing has happened for too long.
+
+        Args:
+            waiting: how long nothing has happened.
+            reason: what the controller says last.
+        """
+        if waiting.idle > self.timeout:
+            return TaskStatus.STUCK, f"Nothing happened for {self.timeout:g} s: {reason}"
+        return GO_ON
 
     def prepare(self, context: Context, seed: int) -> None:
         """Sets in a fresh Context of the Diagram what a kind of task needs beside the station."""

@@ -2,7 +2,7 @@
 
 It says in which scenario the task is done, when it is done, how a run is shown and recorded, which
 files the run leaves in a folder (`write_files`), and how these are described and summarized. The
-registry of the kinds there are is in `station.tasks.registry`.
+kinds there are stand in `station.schema.task_table`.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -73,11 +73,13 @@ RUN_FILES = (
     MODEL_FILE,
     OBJECT_FILE,
     PUSHES_FILE,
+    HELD_OUT,
+    WEIGHINGS_FILE,
     STREAM_FILE,
     TRUTH_FILE,
     SCENARIO_FILE,
 )
-"""Files that a run of most tasks leaves, in the order in which they are listed to the user."""
+"""Files that a run may leave, in the order in which they are listed to the user."""
 
 Report = Callable[[str, str, int], None]
 """A function that is told what is being done, a detail that changes all the time, and the number of
@@ -94,35 +96,52 @@ class TaskKind:
     `name_phase`; elsewhere `describe_phase` and `list_phases`.
 
     Attributes:
+        help: what the robot does, as the help of `--task` says it; it begins with a small letter
+            and has no period.
+        sentence: what the robot is to do, as an order; {} is the object's name.
         station: the class of the task, a `StationTask`, made of a scenario and a Meshcat.
         scenario: name of the shipped scenario in which the task is done if none is given; None for
             `PushScenario()`, an iiwa with a finger.
         done: status of a run in which all went well.
         has_goal: whether there is something to reach, so that a run may end without reaching it.
-        files: names of the files that a run leaves in its folder, the report first. In a task with
-            several objects there is a `MODEL_FILE` of each, see `list_files`.
+        left_out: those of `RUN_FILES` that no run of the task leaves.
         marks: entries of the recording's legend, besides those of the estimate.
         grasps: whether the robot needs a gripper.
         several: whether it is a task with several objects, of which the robot is told the outlines.
         looking: title and text beside the scene until the first push.
         hides: whether the arm hides the object from the camera again and again while it works.
+        counts_pokes: whether the user may say how many pokes are learned from.
+        weighs: whether it can be done with an object of which only the outline is known, as the
+            robot weighs it on the way.
     """
 
+    help: str
+    sentence: str
     station: type[StationTask[Any]]
     scenario: str | None = None
     done: TaskStatus = TaskStatus.FINISHED
     has_goal: bool = True
-    files: tuple[str, ...] = RUN_FILES
+    left_out: tuple[str, ...] = (HELD_OUT, WEIGHINGS_FILE)
     marks: tuple[Mark, ...] = ()
     grasps: bool = False
     several: bool = False
     looking: tuple[str, str] = (FIRST_TITLE, BEFORE_LOOKING)
     hides: bool = False
+    counts_pokes: bool = False
+    weighs: bool = False
 
     @property
     def needs_poses(self) -> bool:
         """Whether the robot is told the objects' poses unless a camera is asked for."""
         return self.several or self.hides
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the files that a run leaves in its folder, the report first.
+
+        In a task with several objects there is a `MODEL_FILE` of each, see `list_files`.
+        """
+        return tuple(name for name in RUN_FILES if name not in self.left_out)
 
     def make_scenario(self) -> PushScenario:
         """Makes the scenario in which the task is done if none is given."""
@@ -330,6 +349,10 @@ class TaskKind:
             "simulated_seconds": record.duration,
             "limit_report": vars(limits) | {"touched": sorted(map(list, limits.touched))},
         }
+
+    def count_made(self, record: Any) -> dict[str, Any]:
+        """Counts for a campaign what was made: fields of `EpisodeOutcome`; here the pushes."""
+        return {"pushes": len(record.log)}
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """Describes a summary in lines of words."""

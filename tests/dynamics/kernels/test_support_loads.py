@@ -143,7 +143,7 @@ def test_tips_when_the_center_of_mass_passes_the_edge(inside, status):
     assert simulate(Model(obj, params), rest, table=table).status == status
 
 
-@pytest.mark.parametrize("share, status", [(0.9, "ok"), (1.1, "tips")])
+@pytest.mark.parametrize("fraction, status", [(0.9, "ok"), (1.1, "tips")])
 def test_tips_over_its_own_edge_when_pushed_high(fraction, status):
     obj = make_shape("square", 100)
     half = obj.p_BC[:, 0].max() + obj.cell_size / 2

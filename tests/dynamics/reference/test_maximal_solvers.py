@@ -103,7 +103,7 @@ def test_a_long_chain_of_the_largest_size_is_solved_to_round_off(seed):
     assert solution.residuals.worst < 1e-12
 
 
-@pytest.mark.parametrize("share, moves", [(0.999, False), (1.001, True)])
+@pytest.mark.parametrize("fraction, moves", [(0.999, False), (1.001, True)])
 def test_the_static_limit_is_mu_m_g(fraction, moves):
     step = make_random_step(7)
     obj = step.obj

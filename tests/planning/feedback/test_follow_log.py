@@ -9,16 +9,17 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_final_errors, predict
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback import (
-    FeedbackFinger,
     FollowLog,
     FollowOptions,
-    LcpFingerWorld,
     PoseSensorModel,
     PushFollower,
     SeenPose,
+    SteeredFinger,
     follow,
 )
 from gridpush_drake.planning.loop_run import Learner
+from gridpush_drake.planning.pushed_object import FeedbackFinger
+from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.made_identifications import make_block
 
@@ -33,10 +34,12 @@ GOAL = (0.12, 0.08, 0.6)
 
 def steer(**more):
     """Steers to one goal, with the even model to begin with; returns follower, log and run."""
-    world = LcpFingerWorld(OBJ, TRUTH, np.zeros(3), (-0.15, 0.0), FINGER.radius, SHARP, 2)
+    steered = SteeredFinger(
+        SimulatedWorld(Model(OBJ, TRUTH), np.zeros(3)), (-0.15, 0.0), FINGER.radius, SHARP, 2
+    )
     follower = PushFollower(OBJ, EVEN, GOAL, FINGER, options=FEW)
     log = FollowLog(OBJ, FINGER.radius)
-    run = follow(follower, world, 30.0, log=log, **more)
+    run = follow(follower, steered, 30.0, log=log, **more)
     return follower, log, run
 
 

@@ -14,19 +14,20 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     follow_tip,
 )
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback import (
-    FeedbackFinger,
     FollowOptions,
-    LcpFingerWorld,
     PosePath,
     PoseSensorModel,
     PushFollower,
+    SteeredFinger,
     follow,
 )
 from gridpush_drake.planning.feedback.model_ensemble import EnsembleOptions, ModelEnsemble
 from gridpush_drake.planning.feedback.pose_path import PathProgress
-from gridpush_drake.planning.feedback.pushed_object import make_model
+from gridpush_drake.planning.pushed_object import FeedbackFinger, make_model
+from gridpush_drake.planning.world import SimulatedWorld
 from tests.helpers.made_identifications import make_block
 
 OBJ = make_block(12)
@@ -131,8 +132,10 @@ def follow_arc(ensemble):
     finger = FeedbackFinger(radius=RADIUS)
     options = FollowOptions(strokes=40, changes=60, draws=2, ensemble=ensemble)
     follower = PushFollower(OBJ, EVEN, path, finger, draws=draw_models(24), options=options)
-    world = LcpFingerWorld(OBJ, TRUTH, np.zeros(3), (-0.09, 0.0), RADIUS, PoseSensorModel(), 3)
-    run = follow(follower, world, 12.0)
+    steered = SteeredFinger(
+        SimulatedWorld(Model(OBJ, TRUTH), np.zeros(3)), (-0.09, 0.0), RADIUS, PoseSensorModel(), 3
+    )
+    run = follow(follower, steered, 12.0)
     centers = np.array([OBJ.cells_at(pose).mean(axis=0) for pose in run.poses])
     return float(np.sqrt((PathProgress(OBJ, path).measure_distance(centers) ** 2).mean()))
 

@@ -10,17 +10,18 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.feedback import (
-    FeedbackFinger,
     FollowOptions,
     FollowStatus,
-    LcpFingerWorld,
     PushFollower,
+    SteeredFinger,
     follow,
     plan_pose_path,
 )
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import SimulatedWorld
 from tests.helpers.made_identifications import make_block
 
 OBJ = make_block(12)
@@ -49,16 +50,18 @@ def test_a_path_leads_round_a_wall_and_is_followed_to_its_end():
         assert TABLE.polygon.covers(outline)
     # a pose is a push away from the one before
     assert calc_goal_error(OBJ, poses[1:-1], poses[0])[0] < 0.02
-    world = LcpFingerWorld(OBJ, TRUTH, START, (-0.1, -0.05), FINGER.radius, seed=3)
+    steered = SteeredFinger(
+        SimulatedWorld(Model(OBJ, TRUTH), START), (-0.1, -0.05), FINGER.radius, seed=3
+    )
     options = FollowOptions(strokes=40, changes=60, draws=0)
     follower = PushFollower(
         OBJ, TRUTH, found.path, FINGER, constraints=RULES, options=options, seed=1
     )
-    run = follow(follower, world)
+    run = follow(follower, steered)
     assert run.status == FollowStatus.REACHED
     for pose in run.poses[::5]:
         assert transform_shape(pose, OBJ.outline).distance(WALL) > 0.0
-    assert calc_goal_error(OBJ, world.pose, GOAL) < 0.003
+    assert calc_goal_error(OBJ, steered.pose, GOAL) < 0.003
 
 
 def test_without_obstacles_a_path_is_little_longer_than_need_be():

@@ -21,21 +21,21 @@ from gridpush_drake.geometry.se2 import transform, transform_shape, wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback import (
-    FeedbackFinger,
     FollowOptions,
     FollowStatus,
-    LcpFingerWorld,
     PosePath,
     PoseSensorModel,
     PushFollower,
+    SteeredFinger,
     follow,
 )
 from gridpush_drake.planning.feedback.follow_log import SeenPose
 from gridpush_drake.planning.feedback.follow_options import AT_GOAL
 from gridpush_drake.planning.feedback.pose_path import PathProgress
-from gridpush_drake.planning.feedback.pushed_object import make_model, make_room
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.pushed_object import FeedbackFinger, make_model, make_room
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import SimulatedWorld
 from tests.helpers.made_identifications import make_block
 
 OBJ = make_block(12)
@@ -48,8 +48,9 @@ GOAL = np.array([0.12, 0.08, 0.6])
 BESIDE = np.array([-0.15, 0.0])
 
 
-def make_world(pose=(0.0, 0.0, 0.0), tip=BESIDE, sight=BLIND, seed=0):
-    return LcpFingerWorld(OBJ, TRUTH, pose, tip, FINGER.radius, sight, seed)
+def make_finger(pose=(0.0, 0.0, 0.0), tip=BESIDE, sight=BLIND, seed=0):
+    world = SimulatedWorld(Model(OBJ, TRUTH), pose)
+    return SteeredFinger(world, tip, FINGER.radius, sight, seed)
 
 
 def make_follower(goal, params=TRUTH, options=FEW, **more):
@@ -84,86 +85,89 @@ def test_the_search_moves_the_object_as_simulate_does():
 
 def test_the_world_is_simulated_exactly_and_the_search_approximately():
     searched = make_follower(GOAL).model.scheme
-    world = make_world()._model.scheme
-    assert world.early_end == 0.0
+    finger = make_finger()
+    finger.move((0.0, 0.1))
+    (model,) = finger.world._models.values()
+    steered = model.scheme
+    assert steered.early_end == 0.0
     assert searched.early_end > 0.0
-    assert searched._replace(early_end=0.0) == world
+    assert searched._replace(early_end=0.0) == steered
 
 
 def test_a_finger_that_passes_by_moves_nothing():
-    world = make_world()
-    start = world.pose
+    steered = make_finger()
+    start = steered.pose
     for _ in range(20):
-        world.move((0.0, 0.2))
-    assert (world.pose == start).all()
+        steered.move((0.0, 0.2))
+    assert (steered.pose == start).all()
 
 
 def test_a_late_pose_is_carried_on_to_now():
     sight = PoseSensorModel(delay=0.15, missing=0.3, position_std=0.0, angle_std=0.0)
-    world = make_world(sight=sight, tip=(-0.07, 0.0))
+    steered = make_finger(sight=sight, tip=(-0.07, 0.0))
     follower = make_follower(GOAL)
-    follower.add_tip(world.time, world.tip)
-    late = world.pose
+    follower.add_tip(steered.time, steered.tip)
+    late = steered.pose
     for _ in range(40):
-        for seen in world.move((0.08, 0.0)):
+        for seen in steered.move((0.08, 0.0)):
             follower.add_pose(seen.time, seen.pose)
             late = seen.pose
-        follower.add_tip(world.time, world.tip)
+        follower.add_tip(steered.time, steered.tip)
     now = follower.track.predict(follower.model)[X : THETA + 1]
-    assert abs(late - world.pose).max() > 0.008
-    assert now == pytest.approx(world.pose, abs=3e-4)
+    assert abs(late - steered.pose).max() > 0.008
+    assert now == pytest.approx(steered.pose, abs=3e-4)
 
 
 def test_follows_a_path_though_poses_are_late_and_missing():
     path = make_arc()
-    world = make_world(tip=(-0.07, 0.0))
-    run = follow(make_follower(path), world)
+    steered = make_finger(tip=(-0.07, 0.0))
+    run = follow(make_follower(path), steered)
     way = PathProgress(OBJ, path)
     off = way.measure_distance(transform(run.poses, OBJ.p_BC.mean(axis=0)[None])[:, 0])
     assert run.status == FollowStatus.REACHED
     assert np.sqrt((off**2).mean()) < 2e-3
-    assert max(measure(world.pose, path.goal)) < 2.0
+    assert max(measure(steered.pose, path.goal)) < 2.0
     # not faster than it should go, and not much slower
     assert run.time > way.length / path.speed
 
 
 def test_goes_round_to_the_goal_and_back_to_it_after_a_shove():
-    world = make_world(tip=(0.15, 0.05))
+    steered = make_finger(tip=(0.15, 0.05))
     follower = make_follower(GOAL)
-    run = follow(follower, world)
+    run = follow(follower, steered)
     assert run.status == FollowStatus.REACHED
-    distance, turn = measure(world.pose, GOAL)
+    distance, turn = measure(steered.pose, GOAL)
     assert distance < 2.0
     assert turn < 1.0
-    world.disturb(world.pose + [0.02, -0.022, np.radians(20)])
+    steered.world.put(steered.pose + [0.02, -0.022, np.radians(20)])
     # it is seen, and no longer counts as reached
     for _ in range(20):
-        for seen in world.move((0.0, 0.0)):
+        for seen in steered.move((0.0, 0.0)):
             follower.add_pose(seen.time, seen.pose)
-        follower.add_tip(world.time, world.tip)
-    run = follow(follower, world)
+        follower.add_tip(steered.time, steered.tip)
+    run = follow(follower, steered)
     assert run.status == FollowStatus.REACHED
     assert run.time > 0.5
-    distance, turn = measure(world.pose, GOAL)
+    distance, turn = measure(steered.pose, GOAL)
     assert distance < 2.0
     assert turn < 1.0
 
 
 def test_follows_a_goal_that_moves():
-    world = make_world(sight=PoseSensorModel(delay=0.1))
+    steered = make_finger(sight=PoseSensorModel(delay=0.1))
     follower = make_follower(GOAL, constraints=PushConstraints(TABLE))
     room = follower._room
-    follower.add_tip(world.time, world.tip)
+    follower.add_tip(steered.time, steered.tip)
     end = GOAL + [0.06, 0.02, 0.3]
     for k in range(300):
         goal = GOAL + min(k / 60, 1.0) * (end - GOAL)
         follower.set_goal(goal)
-        decision = follower.decide(world.time, world.tip)
+        decision = follower.decide(steered.time, steered.tip)
         for _ in range(5):
-            for seen in world.move(decision.velocity):
+            for seen in steered.move(decision.velocity):
                 follower.add_pose(seen.time, seen.pose)
-            follower.add_tip(world.time, world.tip)
-        distance, turn = measure(world.pose, end)
+            follower.add_tip(steered.time, steered.tip)
+        distance, turn = measure(steered.pose, end)
         if k > 60 and distance < 2.0 and turn < 1.0:
             break
     assert distance < 2.0
@@ -173,7 +177,7 @@ def test_follows_a_goal_that_moves():
 
 
 def test_object_and_finger_keep_clear_of_an_obstacle():
-    free = follow(make_follower(GOAL), make_world())
+    free = follow(make_follower(GOAL), make_finger())
     swept = unary_union([transform_shape(pose, OBJ.outline) for pose in free.poses])
     for end in (np.zeros(3), GOAL):
         swept = swept.difference(transform_shape(end, OBJ.outline).buffer(0.015))
@@ -181,7 +185,7 @@ def test_object_and_finger_keep_clear_of_an_obstacle():
     x, y = max(get_coordinates(swept), key=lambda at: at[0] - at[1])
     obstacle = box(x - 0.004, y - 0.03, x + 0.03, y + 0.004)
     rules = PushConstraints(obstacles=(obstacle,))
-    run = follow(make_follower(GOAL, constraints=rules), make_world())
+    run = follow(make_follower(GOAL, constraints=rules), make_finger())
     assert run.status == FollowStatus.REACHED
     for pose in run.poses:
         assert transform_shape(pose, OBJ.outline).distance(obstacle) > 0.0
@@ -189,50 +193,50 @@ def test_object_and_finger_keep_clear_of_an_obstacle():
 
 
 def test_a_copy_goes_on_alike_and_leaves_the_first_alone():
-    world = make_world()
+    steered = make_finger()
     follower = make_follower(GOAL)
-    follower.add_tip(0.0, world.tip)
-    follower.add_pose(0.0, world.pose)
-    follower.decide(0.0, world.tip)
+    follower.add_tip(0.0, steered.tip)
+    follower.add_pose(0.0, steered.pose)
+    follower.decide(0.0, steered.tip)
     other = follower.copy()
-    ahead = [other.decide(0.1 * k, world.tip).velocity for k in range(1, 4)]
-    again = [follower.decide(0.1 * k, world.tip).velocity for k in range(1, 4)]
+    ahead = [other.decide(0.1 * k, steered.tip).velocity for k in range(1, 4)]
+    again = [follower.decide(0.1 * k, steered.tip).velocity for k in range(1, 4)]
     assert np.array_equal(ahead, again)
     assert np.abs(ahead).max() > 0
 
 
 def test_rests_while_no_pose_comes_and_goes_on_with_the_next():
-    world = make_world()
+    steered = make_finger()
     follower = make_follower(GOAL)
-    decision = follower.decide(0.0, world.tip)
+    decision = follower.decide(0.0, steered.tip)
     assert (decision.status, *decision.velocity) == (FollowStatus.NO_POSE, 0.0, 0.0)
     assert "No pose" in decision.reason
     follower.add_pose(0.0, (np.nan, 0.0, 0.0))
-    assert follower.decide(0.1, world.tip).status == FollowStatus.NO_POSE
-    follower.add_pose(0.1, world.pose)
-    assert follower.decide(0.2, world.tip).status == FollowStatus.PUSHING
-    assert follower.decide(0.9, world.tip).status == FollowStatus.NO_POSE
+    assert follower.decide(0.1, steered.tip).status == FollowStatus.NO_POSE
+    follower.add_pose(0.1, steered.pose)
+    assert follower.decide(0.2, steered.tip).status == FollowStatus.PUSHING
+    assert follower.decide(0.9, steered.tip).status == FollowStatus.NO_POSE
 
 
 @pytest.mark.parametrize("motion", [[0.01, 0.0, 0.05], [0.004, 0.0, 0.02]])
 def test_rests_while_somebody_carries_the_object_away(motion):
-    world = make_world()
+    steered = make_finger()
     follower = make_follower(GOAL)
     status = FollowStatus.PUSHING
     for k in range(60):
         time = 0.1 * k
-        follower.add_tip(time, world.tip)
+        follower.add_tip(time, steered.tip)
         # somebody carries it away, which no finger does
-        follower.add_pose(time, world.pose + k * np.array(motion))
-        status = follower.decide(time, world.tip).status
+        follower.add_pose(time, steered.pose + k * np.array(motion))
+        status = follower.decide(time, steered.tip).status
         if status != FollowStatus.PUSHING:
             break
     assert status == FollowStatus.DISTURBED
-    assert follower.decide(time + 0.1, world.tip).velocity.tolist() == [0.0, 0.0]
+    assert follower.decide(time + 0.1, steered.tip).velocity.tolist() == [0.0, 0.0]
 
 
-class MisseenWorld(LcpFingerWorld):
-    """A world whose object is seen where it is not.
+class MisseenFinger(SteeredFinger):
+    """A finger whose object is seen where it is not.
 
     A lie takes the true pose, the first one that was seen, the number of the pose and a generator.
     """
@@ -242,7 +246,8 @@ class MisseenWorld(LcpFingerWorld):
         self._first = None
         self._count = 0
         self._lies = np.random.default_rng((seed, 1))
-        super().__init__(OBJ, TRUTH, np.zeros(3), BESIDE, FINGER.radius, BLIND, seed)
+        world = SimulatedWorld(Model(OBJ, TRUTH), np.zeros(3))
+        super().__init__(world, BESIDE, FINGER.radius, BLIND, seed)
 
     def _look(self):
         known = len(self._coming)
@@ -288,48 +293,48 @@ def mistake(pose, first, count, rng):
 )
 def test_comes_to_rest_for_good_though_poses_stay_wrong(lie, goal, statuses):
     """Nobody ends the run: the controller is asked for 30 s, as in a Diagram."""
-    world = MisseenWorld(lie, seed=0)
+    steered = MisseenFinger(lie, seed=0)
     follower = make_follower(goal)
-    follower.add_tip(0.0, world.tip)
+    follower.add_tip(0.0, steered.tip)
     way = 0.0
     for k in range(300):
-        decision = follower.decide(world.time, world.tip)
+        decision = follower.decide(steered.time, steered.tip)
         way += 0.1 * float(np.hypot(*decision.velocity))
         if k >= 200:
             assert decision.status in statuses
             assert decision.reason
             assert not decision.velocity.any()
         for _ in range(5):
-            for seen in world.move(decision.velocity):
+            for seen in steered.move(decision.velocity):
                 follower.add_pose(seen.time, seen.pose)
-            follower.add_tip(world.time, world.tip)
+            follower.add_tip(steered.time, steered.tip)
     assert way < 1.0
 
 
 def test_reaches_the_goal_though_the_object_is_disturbed_three_times():
-    world = make_world(tip=(0.15, 0.05))
+    steered = make_finger(tip=(0.15, 0.05))
     follower = make_follower(GOAL)
-    follower.add_tip(0.0, world.tip)
+    follower.add_tip(0.0, steered.tip)
     rng = np.random.default_rng(0)
     for k in range(300):
         if k in (10, 25, 40):
-            world.disturb(world.pose + rng.uniform(-1, 1, 3) * [0.03, 0.03, 0.35])
-        decision = follower.decide(world.time, world.tip)
+            steered.world.put(steered.pose + rng.uniform(-1, 1, 3) * [0.03, 0.03, 0.35])
+        decision = follower.decide(steered.time, steered.tip)
         if decision.status == FollowStatus.REACHED and k > 40:
             break
         for _ in range(5):
-            for seen in world.move(decision.velocity):
+            for seen in steered.move(decision.velocity):
                 follower.add_pose(seen.time, seen.pose)
-            follower.add_tip(world.time, world.tip)
+            follower.add_tip(steered.time, steered.tip)
     assert decision.status == FollowStatus.REACHED
-    assert max(measure(world.pose, GOAL)) < 2.0
+    assert max(measure(steered.pose, GOAL)) < 2.0
 
 
 def test_rests_while_the_finger_is_not_known_and_while_the_goal_is_no_place():
-    world = make_world()
+    steered = make_finger()
     follower = make_follower(GOAL)
-    follower.add_tip(0.0, world.tip)
-    follower.add_pose(0.0, world.pose)
+    follower.add_tip(0.0, steered.tip)
+    follower.add_pose(0.0, steered.pose)
     for tip in ((np.nan, 0.0), (1e300, 0.0)):
         follower.add_tip(0.05, tip)
         decision = follower.decide(0.1, tip)
@@ -337,18 +342,18 @@ def test_rests_while_the_finger_is_not_known_and_while_the_goal_is_no_place():
         assert "finger" in decision.reason
     follower.add_pose(0.1, (1e300, 0.0, 0.0))
     follower.set_goal((1e300, 0.0, 0.0))
-    decision = follower.decide(0.2, world.tip)
+    decision = follower.decide(0.2, steered.tip)
     assert (decision.status, *decision.velocity) == (FollowStatus.GOAL_TOO_FAR, 0.0, 0.0)
     follower.set_goal(GOAL)
-    assert follower.decide(0.3, world.tip).status == FollowStatus.PUSHING
+    assert follower.decide(0.3, steered.tip).status == FollowStatus.PUSHING
 
 
 def test_says_why_the_finger_rests_at_the_goal():
-    world = make_world(pose=GOAL)
+    steered = make_finger(pose=GOAL)
     follower = make_follower(GOAL)
-    follower.add_tip(0.0, world.tip)
+    follower.add_tip(0.0, steered.tip)
     follower.add_pose(0.0, GOAL)
-    decision = follower.decide(0.1, world.tip)
+    decision = follower.decide(0.1, steered.tip)
     assert (decision.status, decision.reason) == (FollowStatus.PUSHING, AT_GOAL)
     assert not decision.velocity.any()
 

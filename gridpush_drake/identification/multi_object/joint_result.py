@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.model import Model, check_draws
-from gridpush_drake.identification.result import Identification, IdentificationStatus
-from gridpush_drake.identification.statistics.noise import NoiseModel
+from gridpush_drake.identification.result import FitStart, Identification, IdentificationStatus
+from gridpush_drake.identification.sentences import describe_part
+from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.statistics.posterior import Posterior
-from gridpush_drake.notebook import count
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.units import MM_PER_M
 
 METHOD = "scene"
 """Name of the method in the models."""
@@ -71,6 +70,11 @@ class JointIdentification(Model):
     moved: NDArray[np.bool_]
     errors_before: Array
     errors: Array
+
+    @property
+    def fit_starts(self) -> tuple[FitStart, ...]:
+        """The place where a fit to more pushes may begin."""
+        return (FitStart(self.z, NoiseScale()),)
 
     @property
     def unexplained(self) -> tuple[str, ...]:
@@ -224,25 +228,23 @@ def _make_part(found: JointIdentification, body: int) -> Identification:
         friction=np.full(obj.n, obj.prior.friction_std),
         contact_friction=float(params.contact_friction * np.sqrt(posterior.covariance[-1, -1])),
     )
+    errors = float(found.errors[:, body].mean())
+    even_errors = float(found.errors_before[:, body].mean())
     status = IdentificationStatus.LEARNED
-    before = found.errors_before[:, body].mean() * MM_PER_M
-    after = found.errors[:, body].mean() * MM_PER_M
-    message = (
-        f"Learned together with {count(len(found) - 1, 'other object')} from "
-        f"{count(len(found.push_names), 'push')}: cell error {after:.2f} mm, "
-        f"{before:.2f} mm as an even object."
-    )
-    if found.unexplained:
-        message += f" It does not explain {', '.join(found.unexplained)}."
     if not found.moved[body]:
         status = IdentificationStatus.PRIOR_KEPT
-        message = "No push moved it: nothing was learned of it."
     elif len(found.unexplained) >= LITTLE * len(found.push_names):
         status = IdentificationStatus.EXPLAINS_LITTLE
-        message = f"The model explains little of the pushes. {message}"
-    elif after > before:
+    elif errors > even_errors:
         status = IdentificationStatus.PRIOR_KEPT
-        message = f"The pushes are predicted no better than for an even object. {message}"
+    message = describe_part(
+        status,
+        moved=bool(found.moved[body]),
+        others=len(found) - 1,
+        pushes=len(found.push_names),
+        errors=(errors, even_errors),
+        unexplained=found.unexplained,
+    )
     return Identification(
         objects=(obj,),
         parameters=(params,),

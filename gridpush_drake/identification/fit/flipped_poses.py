@@ -70,9 +70,6 @@ MIN_SHIFT = 1e-6
 """Standard deviation of the load's shift from push to push in the search to first order, m. It is
 as good as zero."""
 
-MAX_NAMED = 8
-"""Greatest number of pushes that a message names."""
-
 Turns = NDArray[np.int64]
 
 
@@ -83,23 +80,14 @@ class FlippedPoses:
     Attributes:
         names: names of the pushes that are surely turned; there may be more of them.
         pushes: how many pushes the log has.
-        angle: by how much they are off, in words.
+        order: number of turns in a full one by which the outline looks the same.
+        half: whether all that are turned are so by half a turn.
     """
 
     names: tuple[str, ...]
     pushes: int
-    angle: str
-
-    def describe(self, name: str) -> str:
-        """Says so in a sentence, of an object of that name."""
-        more = f" and {len(self.names) - MAX_NAMED} more" if len(self.names) > MAX_NAMED else ""
-        shown = ", ".join(self.names[:MAX_NAMED]) + more
-        return (
-            f"column object_theta: the poses of at least {len(self.names)} of {self.pushes} pushes "
-            f"({shown}) seem to be {self.angle} off those of the others, by which the outline of "
-            f"{name} looks the same; does the tracker take one end for the other? The center of "
-            "friction is not to be believed"
-        )
+    order: int
+    half: bool
 
 
 def find_symmetry(obj: GridObject) -> int:
@@ -136,8 +124,10 @@ def find_flipped_poses(
         fit: fits the pushes of a problem in full.
     """
     obj = problem.obj
+    if len(log) < MIN_PUSHES:
+        return None
     order = find_symmetry(obj)
-    if order == 1 or len(log) < MIN_PUSHES:
+    if order == 1:
         return None
     turns = _search_turns(problem, z0, noise, order)
     if not turns.any():
@@ -162,9 +152,7 @@ def find_flipped_poses(
     if not names:
         return None
     half = bool((2 * turns[turns > 0] == order).all())
-    return FlippedPoses(
-        tuple(names), len(log), "half a turn" if half else f"turns of {360 / order:.0f}°"
-    )
+    return FlippedPoses(names=tuple(names), pushes=len(log), order=order, half=half)
 
 
 def _explains_kept(

@@ -1,0 +1,408 @@
+"""`gridpush bench release`: measures what the pages state, over several sittings.
+
+Each row of `ROWS` is a bench with its settings. Its jobs are run a few at a time, and each result
+is kept in the row's own file with the commit, the date and a hash of the code that made it. So the
+command can be ended at any time, and goes on where it was. What is there so far is written into
+pages between two marks,
+
+    <!-- release: grasp -->
+    (the row's tables, and what they were measured with)
+    <!-- release end -->
+
+A row of which a result was made by other code than there is now says so by itself.
+"""
+
+import ast
+import re
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from importlib import import_module
+from importlib.resources import files
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from gridpush_drake.bench.study import Done, Study, StudyOptions, option
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.files import write_whole
+from gridpush_drake.jobs.results import hash_content, open_results
+from gridpush_drake.jobs.run import DEFAULT_WORKERS, Execution, Report, check_known, run_jobs
+from gridpush_drake.report.table import Table
+
+PACKAGE = "gridpush_drake"
+"""Name of the package."""
+
+DATA_SUFFIXES = (".yaml", ".sdf", ".urdf")
+"""Endings of the names of data files, on which every row depends."""
+
+DEFAULT_FOLDER = Path("gridpush_release")
+"""Folder in which results are kept by default."""
+
+SECONDS_PER_MINUTE = 60.0
+"""Seconds in a minute."""
+
+MARK = re.compile(r"(<!-- release: (\w+) -->\n).*?(<!-- release end -->)", re.DOTALL)
+"""Where a page has a row's tables."""
+
+COMMIT_LENGTH = 8
+"""Characters of a commit that are written."""
+
+
+@dataclass(frozen=True)
+class ReleaseRow:
+    """What a page states, and the bench that measures it.
+
+    Attributes:
+        target: the bench, MODULE:ATTRIBUTE.
+        settings: what is chosen of its options. The seeds were not used to choose any constant.
+        command: what a reader types to measure the same.
+    """
+
+    target: str
+    settings: Mapping[str, Any]
+    command: str
+
+    @property
+    def module(self) -> str:
+        """Name of the bench's module."""
+        return self.target.partition(":")[0]
+
+    def load(self) -> Study[Any]:
+        """Imports the bench."""
+        study: Study[Any] = getattr(import_module(self.module), self.target.partition(":")[2])
+        return study
+
+
+SIX_OBJECTS = (
+    "claw_hammer",
+    "combination_wrench",
+    "pliers",
+    "spray_bottle",
+    "spring_clamp",
+    "toothpaste_tube",
+)
+"""Objects of the rows of whole runs."""
+
+SIX_NAMED = " ".join(f"--objects {name}" for name in SIX_OBJECTS)
+"""The same on the command line."""
+
+GRASP = f"{PACKAGE}.bench.grasp:STUDY"
+"""The bench of whole runs."""
+
+SCENE_TASKS = f"{PACKAGE}.bench.multi_object.scene_tasks:STUDY"
+"""The bench of tasks with several objects."""
+
+STEERING = f"{PACKAGE}.bench.steering.experiments:STUDY"
+"""The bench of pushing with feedback."""
+
+ROWS: dict[str, ReleaseRow] = {
+    "grasp": ReleaseRow(
+        GRASP,
+        {"objects": SIX_OBJECTS, "seeds": 7, "seed": 4100},
+        f"gridpush bench grasp {SIX_NAMED} --seeds 7 --seed 4100",
+    ),
+    "unknown_inertia": ReleaseRow(
+        GRASP,
+        {"objects": SIX_OBJECTS, "seeds": 7, "seed": 4200, "unknown_inertia": True},
+        f"gridpush bench grasp {SIX_NAMED} --seeds 7 --seed 4200 --unknown-inertia",
+    ),
+    "unknown_inertia_camera": ReleaseRow(
+        GRASP,
+        {
+            "objects": SIX_OBJECTS,
+            "seeds": 7,
+            "seed": 4000,
+            "unknown_inertia": True,
+            "camera": "rgbd",
+        },
+        f"gridpush bench grasp {SIX_NAMED} --seeds 7 --seed 4000 --unknown-inertia --camera rgbd",
+    ),
+    "scene_tasks": ReleaseRow(
+        SCENE_TASKS,
+        {"seeds": 60, "seed": 2000},
+        "gridpush bench scene-tasks --seeds 60 --seed 2000",
+    ),
+    "paths": ReleaseRow(
+        STEERING,
+        {"kinds": ("path",), "runs": 5, "seed": 2000},
+        "gridpush bench feedback --kind path --runs 5 --seed 2000",
+    ),
+    "goals": ReleaseRow(
+        STEERING,
+        {"kinds": ("goal",), "runs": 5, "seed": 2000},
+        "gridpush bench feedback --kind goal --runs 5 --seed 2000",
+    ),
+    "tilt_tests": ReleaseRow(
+        f"{PACKAGE}.bench.tilt_tests.experiments:STUDY",
+        {"part": "scale", "bottom": "three_feet", "truths": 10, "seed": 5000},
+        "gridpush bench weighing --part scale --bottom three_feet --truths 10 --seed 5000",
+    ),
+    "hypotheses": ReleaseRow(
+        f"{PACKAGE}.bench.truth.hypotheses:STUDY",
+        {"bodies": 100, "seed": 3000},
+        "gridpush bench hypotheses --bodies 100 --seed 3000",
+    ),
+    "paper": ReleaseRow(
+        f"{PACKAGE}.bench.paper_figures:STUDY",
+        {"methods": ("default",)},
+        "gridpush bench paper --method default",
+    ),
+}
+"""What the pages state, by name. What needs real pushes or measures times is not among them: see
+the commands on the page."""
+
+
+@dataclass(frozen=True)
+class ReleaseOptions(StudyOptions):
+    """What is measured, for how long, and where it is written.
+
+    Attributes:
+        rows: names of rows; all where None.
+        minutes: no job begins after so many minutes; None for no end.
+        folder: where results are kept.
+        pages: pages into which the tables are written.
+        workers: number of worker processes.
+        renew: whether results of other code are measured anew.
+    """
+
+    rows: tuple[str, ...] | None = option(
+        None,
+        f"{', '.join(tuple(ROWS)[:-1])} or {tuple(ROWS)[-1]}; may be repeated.",
+        name="--row",
+        metavar="NAME",
+        shown="all",
+    )
+    minutes: float | None = option(None, "Begin no job after so many minutes.", metavar="MINUTES")
+    folder: Path = option(DEFAULT_FOLDER, "Where results are kept.", metavar="DIR")
+    pages: tuple[str, ...] | None = option(
+        None,
+        "A page whose tables between `<!-- release: NAME -->` and `<!-- release end -->` are "
+        "written anew; may be repeated.",
+        name="--page",
+        metavar="FILE",
+    )
+    workers: int = option(DEFAULT_WORKERS, "Worker processes; 0 for none.", least=0)
+    renew: bool = option(False, "Measure anew what was measured with other code.")
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredRow:
+    """What is known of a row.
+
+    Attributes:
+        name: its name.
+        row: the row.
+        job_count: number of its jobs.
+        done: those that are done, with their results.
+        stamps: commit, date and hash of the code of each.
+        code: hash of the code that there is now.
+    """
+
+    name: str
+    row: ReleaseRow
+    job_count: int
+    done: Done
+    stamps: Sequence[Mapping[str, str]]
+    code: str
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether a result was made by other code than there is now."""
+        return any(stamp["code"] != self.code for stamp in self.stamps)
+
+    def describe(self) -> str:
+        """Says in a sentence or two what was measured, when and with what."""
+        if not self.stamps:
+            return f"`{self.row.command}`: not measured yet."
+        dates = sorted({stamp["date"] for stamp in self.stamps})
+        commits = list(dict.fromkeys(stamp["commit"] for stamp in self.stamps))
+        when = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
+        said = (
+            f"`{self.row.command}`: {len(self.stamps)} of {self.job_count} jobs, {when}, commit "
+            f"{', '.join(commits)}."
+        )
+        return said + (" **The code has changed since.**" if self.is_changed else "")
+
+    def tabulate(self) -> list[Table]:
+        """Makes the bench's own tables of what is done so far."""
+        if not self.done.pairs:
+            return []
+        study = self.row.load()
+        return study.tabulate(study.options(**self.row.settings), self.done)
+
+
+def measure(options: ReleaseOptions, report: Report | None) -> list[Table]:
+    """Measures rows for as long as may be, and writes the pages.
+
+    Raises:
+        GridPushError: a row is not known, a file of results is of another form, or a page has no
+            place for any row.
+    """
+    names = tuple(ROWS) if options.rows is None else options.rows
+    check_known("rows", names, tuple(ROWS))
+    pages = {Path(page): _read_page(Path(page)) for page in options.pages or ()}
+    end = float("inf")
+    if options.minutes is not None:
+        end = monotonic() + SECONDS_PER_MINUTE * options.minutes
+    measured = [_measure_row(name, options, end, report) for name in names]
+    for page, text in pages.items():
+        write_whole(page, write_into(text, measured), force=True)
+    rows = [
+        [
+            each.name,
+            len(each.stamps),
+            each.job_count,
+            ", ".join(dict.fromkeys(stamp["commit"] for stamp in each.stamps)) or "-",
+            "yes" if each.is_changed else "no",
+        ]
+        for each in measured
+    ]
+    columns = ("row", "jobs done", "jobs", "commits", "code changed since")
+    return [
+        Table("What the pages state", columns, rows),
+        *(table for each in measured for table in each.tabulate()),
+    ]
+
+
+def write_into(text: str, measured: Sequence[MeasuredRow]) -> str:
+    """Writes the tables of rows into a page's text, where it has marks for them."""
+    by_name = {each.name: each for each in measured}
+
+    def write(found: re.Match[str]) -> str:
+        begin, name, end = found.groups()
+        each = by_name.get(name)
+        if each is None:
+            return found.group()
+        tables = "\n".join(table.to_markdown() for table in each.tabulate())
+        return f"{begin}{each.describe()}\n\n{tables}{end}"
+
+    return MARK.sub(write, text)
+
+
+def _read_page(page: Path) -> str:
+    """Reads a page that has a place for some row."""
+    try:
+        text = page.read_text(encoding="utf-8")
+    except OSError as error:
+        raise GridPushError(f"{page}: cannot be read: {error.strerror}") from error
+    unknown = [name for _, name, _ in MARK.findall(text) if name not in ROWS]
+    if unknown or not MARK.search(text):
+        raise GridPushError(
+            f"{page}: has {', '.join(unknown) or 'no row'}; expected <!-- release: NAME --> and "
+            f"<!-- release end --> with some of {', '.join(ROWS)}"
+        )
+    return text
+
+
+def _measure_row(
+    name: str, options: ReleaseOptions, end: float, report: Report | None
+) -> MeasuredRow:
+    """Runs a row's jobs that are not done yet, until a time of the monotonic clock, s."""
+    row = ROWS[name]
+    study = row.load()
+    chosen = study.options(**row.settings)
+    chosen = study.shorten(chosen) if options.quick else chosen
+    jobs = list(study.make_jobs(chosen))
+    code = hash_code(row.module)
+    stamp = {"commit": find_commit(), "date": f"{datetime.now(UTC):%Y-%m-%d}", "code": code}
+    settings = dict(row.settings) | {"quick": options.quick}
+    options.folder.mkdir(exist_ok=True)
+    results = open_results(
+        options.folder / f"{name}.jsonl", study.name, settings, options.force, stamp=stamp
+    )
+    if options.renew:
+        for job in jobs:
+            if results.find_stamp(job).get("code", code) != code:
+                results.forget(job)
+    pairs = []
+    for kind in study.tasks:
+        mine = [job for job in jobs if type(job) is kind.job]
+        done = set(results.find(kind.run, mine))
+        # In any order, so that what is done of a row at any time stands for the whole.
+        order = np.random.default_rng(chosen.seed).permutation(len(mine)).tolist()
+        left = [mine[i] for i in order if i not in done]
+        batch = max(2 * options.workers, 1)
+        execution = Execution(options.workers, report, results)
+        while left and monotonic() < end:
+            run_jobs(kind.run, left[:batch], kind.describe, execution)
+            left = left[batch:]
+        pairs += [(mine[i], result) for i, result in results.find(kind.run, mine).items()]
+    stamps = [results.find_stamp(job) for job, _ in pairs]
+    return MeasuredRow(name, row, len(jobs), Done(pairs), stamps, code)
+
+
+def find_commit() -> str:
+    """Returns the commit of the checkout in which the package is, with + where it was changed.
+
+    It is "unknown" where the package is in no checkout.
+    """
+    folder = Path(str(files(PACKAGE)))
+    said = []
+    for command in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"]):
+        try:
+            run = subprocess.run(
+                ["git", "-C", str(folder), *command], capture_output=True, text=True, check=True
+            )
+        except (OSError, subprocess.CalledProcessError):
+            return "unknown"
+        said.append(run.stdout.strip())
+    return said[0][:COMMIT_LENGTH] + ("+" if said[1] else "")
+
+
+@cache
+def hash_code(module: str) -> str:
+    """Hashes the code that a module of the package stands on, and the package's data.
+
+    The code is the module's own and that of all modules of the package which it imports, and which
+    these import, wherever in a file they do.
+    """
+    package = Path(str(files(PACKAGE)))
+    known: dict[str, Path] = {}
+    todo = [module]
+    while todo:
+        name = todo.pop()
+        path = _find_file(package, name)
+        if path is None or name in known:
+            continue
+        known[name] = path
+        todo += list_imports(path)
+    sums = [f"{name} {hash_content(path.read_bytes())}" for name, path in known.items()]
+    sums += [
+        f"{path.relative_to(package)} {hash_content(path.read_bytes())}"
+        for path in package.rglob("*")
+        if path.suffix in DATA_SUFFIXES
+    ]
+    return hash_content("\n".join(sorted(sums)).encode())
+
+
+def list_imports(path: Path) -> Iterator[str]:
+    """Yields the names of the package's modules, and of things in them, that a file imports."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (each.name for each in node.names if each.name.startswith(PACKAGE))
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith(PACKAGE):
+            yield str(node.module)
+            yield from (f"{node.module}.{each.name}" for each in node.names)
+
+
+def _find_file(package: Path, name: str) -> Path | None:
+    """Finds the file of a module; None where the name is of no module."""
+    place = package.joinpath(*name.split(".")[1:])
+    for path in (place.with_suffix(".py"), place / "__init__.py"):
+        if path.is_file():
+            return path
+    return None
+
+
+STUDY = Study(
+    name="release",
+    help="Measure what the pages state, over several sittings, and write their tables.",
+    options=ReleaseOptions,
+    measure=measure,
+)
+"""`gridpush bench release`."""

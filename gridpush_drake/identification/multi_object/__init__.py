@@ -1,0 +1,1 @@
+"""Several objects that are learned together."""

@@ -1,0 +1,148 @@
+"""`screen`: what `identify` is asked, as a task of which all may be believed.
+
+Refused is what the method cannot do, and a log that cannot be true of the objects or that nothing
+can be learned from. Poses that no motion of the pusher explains are left out, and the regime of the
+simulations is chosen. What disagrees with the rest only by a fit is refused in the fit
+(`fit.robust_fit`).
+"""
+
+from numbers import Integral
+
+import numpy as np
+
+from gridpush_drake.dynamics.physics import Regime
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.fit.learning_task import LearningMethod, LearningTask
+from gridpush_drake.identification.methods import LEARNING_METHODS, describe_one_alone, find_method
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.multi_object.joint_result import JointIdentification
+from gridpush_drake.identification.result import Identification, Progress
+from gridpush_drake.identification.statistics.friction_gradient import HeldFriction
+from gridpush_drake.identification.statistics.outliers import ScreenedLog
+from gridpush_drake.identification.statistics.problem import resolve_physics
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.arguments import LOG_TYPES, PushLogOrFile, check_types, read_log
+from gridpush_drake.pushes.plausibility import check_plausible, check_plausible_mass_tests
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.weighings import MassTestLog
+
+
+def screen(
+    model: Model,
+    log: PushLogOrFile,
+    method: str | LearningMethod,
+    *,
+    seed: int,
+    regime: Regime | None,
+    budget: int | None,
+    progress: Progress | None,
+    start: Identification | JointIdentification | None,
+    friction: HeldFriction | None,
+    weighings: MassTestLog | None,
+) -> LearningTask:
+    """Checks what `identify` is asked, and screens the log; the arguments are those of `identify`.
+
+    Raises:
+        IdentificationError, SimulationError, PushLogError, TypeError: see `identify`.
+    """
+    check_types("identify", model=(model, (Model,)), log=(log, LOG_TYPES))
+    log = read_log(log, model.objects, require_final=True)
+    chosen = find_method(method, several=len(model) > 1)
+    asked = model.physics.with_regime(regime)
+    if not (isinstance(seed, Integral) and seed >= 0):
+        raise IdentificationError(f"seed is {seed}; expected a whole number, 0 or more")
+    if chosen.abilities.takes_several:
+        one_alone = {
+            "regime": asked.regime == "inertial",
+            "budget": budget is not None,
+            "friction": friction is not None,
+            "start": start is not None and len(start) != len(model),
+            "weighings": bool(weighings),
+        }
+        for name in (name for name, given in one_alone.items() if given):
+            raise IdentificationError(describe_one_alone(name))
+        screened = _check_joint_log(model, log)
+        physics = asked.with_regime("quasi_static")
+    else:
+        _refuse_unable(chosen, model.with_physics(asked), start, friction)
+        # Weighings first: to learn from the pushes takes a while.
+        check_plausible_mass_tests(model.obj, weighings or MassTestLog())
+        screened = _check_log(model.obj, log if chosen.abilities.takes_overhang else log.on_table)
+        physics = resolve_physics(asked, model.obj, screened.log)
+    return LearningTask(
+        method=chosen,
+        model=model.with_physics(physics),
+        screened=screened,
+        seed=int(seed),
+        budget=budget,
+        progress=progress,
+        starts=() if start is None else start.fit_starts,
+        friction=friction,
+        weighings=weighings or MassTestLog(),
+    )
+
+
+def _refuse_unable(
+    method: LearningMethod,
+    model: Model,
+    start: Identification | JointIdentification | None,
+    friction: HeldFriction | None,
+) -> None:
+    """Raises IdentificationError: a method for one object cannot do what it is asked."""
+    if start is not None and len(start) > 1:
+        raise IdentificationError("start: is of several objects; expected what was learned of one")
+    obj = model.obj
+    physics = model.physics
+    if method.abilities.needs_gradients and True not in physics.law.gradients:
+        others = [
+            name
+            for name, (one, *_) in LEARNING_METHODS.items()
+            if not one.abilities.needs_gradients
+        ]
+        raise IdentificationError(
+            f"friction_law {physics.friction_law!r} has no exact gradients, which the "
+            f"{method.name} method needs; expected another law, or one of the methods "
+            f"{', '.join(others)}"
+        )
+    if friction is not None and not method.abilities.holds_friction:
+        raise IdentificationError(
+            f"friction: the method {method.name} cannot hold it; expected a method that can, such "
+            "as default"
+        )
+    if start is not None and start.obj.n != obj.n:
+        raise IdentificationError(
+            f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has"
+        )
+
+
+def _check_log(obj: GridObject, log: PushLog) -> ScreenedLog:
+    """Refuses a log that nothing can be learned from, and the poses that jump.
+
+    A log without a pusher radius takes that of the object's prior.
+    """
+    source = log.source or "push log"
+    if not len(log):
+        raise IdentificationError(f"{source}: no pushes; expected at least one")
+    log = log.supported
+    for push in log:
+        if not len(push.t_observed):
+            raise IdentificationError(
+                f"{source}: push {push.name}: object_x, object_y, object_theta: "
+                "no pose after the first row; expected at least one"
+            )
+    if not log.radius_given and obj.prior.pusher_radius is not None:
+        log = log.with_radius(obj.prior.pusher_radius)
+    screened = ScreenedLog.of_jumps(obj, log)
+    check_plausible(obj, screened.log, learning=True)
+    return screened
+
+
+def _check_joint_log(model: Model, log: PushLog) -> ScreenedLog:
+    """Refuses a log of several objects that nothing can be learned from; it is kept as it is."""
+    if not len(log):
+        raise IdentificationError("push log: holds no push; expected at least one")
+    if not (model.pair_friction[np.triu_indices(len(model), 1)] > 0).all():
+        raise IdentificationError(
+            "pair_friction: expected positive numbers, as what is expected beforehand"
+        )
+    return ScreenedLog(log)

@@ -1,0 +1,107 @@
+"""The bench of what the pages state: sittings, pages, and rows whose code has changed."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gridpush_drake.bench import release
+from gridpush_drake.bench.release import ROWS, STUDY, ReleaseRow, hash_code, list_imports
+from gridpush_drake.errors import GridPushError
+
+ROOT = Path(__file__).parents[2]
+QUICK = ReleaseRow(
+    "gridpush_drake.bench.pregrasp.experiments:STUDY",
+    {"objects": ("claw_hammer",), "mass_sets": 1, "experiment": "exploring", "seeds": 1},
+    "gridpush bench pregrasp",
+)
+
+
+def measure(folder, **more):
+    return STUDY.run(rows=("quick",), folder=folder, workers=0, **more)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setitem(ROWS, "quick", QUICK)
+
+
+def test_a_row_goes_on_where_it_was_and_its_table_is_written_into_pages(tmp_path, quick):
+    page = tmp_path / "page.md"
+    page.write_text("Before.\n\n<!-- release: quick -->\nold\n<!-- release end -->\n\nAfter.\n")
+    begun = measure(tmp_path / "kept", minutes=0.0, pages=(str(page),))
+    assert begun[0].rows[0][1] == 0 and len(begun) == 1
+    assert "not measured yet" in page.read_text() and "old" not in page.read_text()
+
+    done = measure(tmp_path / "kept", pages=(str(page),))
+    (file,) = (tmp_path / "kept").glob("*.jsonl")
+    lines = file.read_text().splitlines()
+    total = done[0].rows[0][2]
+    assert done[0].rows[0][1] == total == len(lines) - 1 > 0
+    text = page.read_text()
+    assert text.startswith("Before.") and text.endswith("<!-- release end -->\n\nAfter.\n")
+    assert f"{total} of {total} jobs" in text and done[1].title in text
+    assert "has changed" not in text
+
+    again = measure(tmp_path / "kept")
+    assert file.read_text().splitlines() == lines
+    assert [table.rows for table in again] == [table.rows for table in done]
+
+
+def test_a_row_whose_code_changed_says_so_and_is_measured_anew_if_asked(tmp_path, quick):
+    measure(tmp_path)
+    file = tmp_path / "quick.jsonl"
+    head, *lines = file.read_text().splitlines()
+    old = [json.dumps(json.loads(line) | {"code": "0" * 12, "commit": "old"}) for line in lines]
+    file.write_text("\n".join([head, *old, ""]))
+    assert measure(tmp_path)[0].rows[0][-2:] == ["old", "yes"]
+    renewed = measure(tmp_path, renew=True)[0].rows[0]
+    assert renewed[-1] == "no" and renewed[-2] != "old"
+
+
+def test_the_hash_follows_whatever_a_bench_imports(tmp_path, monkeypatch):
+    package = tmp_path / release.PACKAGE
+    package.mkdir()
+    texts = {
+        "top": "def f():\n    from gridpush_drake.low import x\n",
+        "low": "x = 1\n",
+        "other": "",
+    }
+    for name, text in texts.items():
+        (package / f"{name}.py").write_text(text)
+    monkeypatch.setattr(release, "files", lambda name: package)
+    calc = hash_code.__wrapped__
+    before = calc("gridpush_drake.top")
+    (package / "other.py").write_text("y = 2\n")
+    assert calc("gridpush_drake.top") == before
+    (package / "low.py").write_text("x = 2\n")
+    assert calc("gridpush_drake.top") != before
+
+
+def test_every_row_is_of_a_bench_with_jobs_and_of_options_that_it_has():
+    for name, row in ROWS.items():
+        study = row.load()
+        jobs = study.make_jobs(study.options(**row.settings))
+        assert jobs and study.tasks, name
+        assert row.command.startswith(f"gridpush bench {study.name}"), name
+
+
+def test_the_module_of_a_bench_stands_on_the_kernels():
+    found = set(list_imports(ROOT / "gridpush_drake/dynamics/simulation.py"))
+    assert (
+        "gridpush_drake.dynamics.kernels.step"
+        in {name.rpartition(".")[0] for name in found} | found
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("nothing", "has no row"), ("<!-- release: gone -->\n<!-- release end -->", "has gone")],
+)
+def test_a_page_without_a_place_for_a_row_is_refused(tmp_path, text, words):
+    page = tmp_path / "page.md"
+    page.write_text(text)
+    with pytest.raises(GridPushError, match=words):
+        STUDY.run(rows=("grasp",), folder=tmp_path, minutes=0.0, pages=(str(page),))
+    with pytest.raises(GridPushError, match="expected some of"):
+        STUDY.run(rows=("gone",), folder=tmp_path, minutes=0.0)
