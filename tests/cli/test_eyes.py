@@ -97,10 +97,7 @@ def test_a_tag_on_the_object_is_aligned_once_and_then_tells_its_pose(capsys, fol
         color = paint(make_camera(), [(L_SHAPE, pose, HEIGHT, BROWN)], seed=k, depth=False).color
         color = paint_tag(color, make_camera(), 4, square(compose(pose, X_BT), TAG_SIZE, HEIGHT), k)
         save(folder / "video" / f"{k:03d}.png", color)
-    lines = "".join(f"{k:03d},{time}\n" for k, time in enumerate(t))
-    (folder / "video" / "times.csv").write_text("name,t\n" + lines)
-    tip_lines = "".join(f"{time},{x},{y}\n" for time, (x, y) in zip(t, tips, strict=True))
-    (folder / "tip.csv").write_text("t,tip_x,tip_y\n" + tip_lines)
+    write_times(folder, t, tips)
     camera = ("--camera", folder / "camera.yaml")
     size = ("--height", HEIGHT, "--tag-size", TAG_SIZE)
     done = run_gridpush(
@@ -229,6 +226,14 @@ def make_push(count=18):
     return t, tips, poses
 
 
+def write_times(folder, t, tips):
+    """Writes when each picture was taken, and where the tip was then."""
+    lines = "".join(f"{k:03d},{time}\n" for k, time in enumerate(t))
+    (folder / "video" / "times.csv").write_text("name,t\n" + lines)
+    tip_lines = "".join(f"{time},{x},{y}\n" for time, (x, y) in zip(t, tips, strict=True))
+    (folder / "tip.csv").write_text("t,tip_x,tip_y\n" + tip_lines)
+
+
 def write_video(folder, with_tags, block=None):
     (folder / "video").mkdir()
     t, tips, poses = make_push()
@@ -242,10 +247,7 @@ def write_video(folder, with_tags, block=None):
                 color, make_camera(), 9, square([*tips[k] - [0.06, 0], 0], TAG_SIZE, 0.04), k
             )
         save(folder / "video" / f"{k:03d}.png", color)
-    lines = "".join(f"{k:03d},{time}\n" for k, time in enumerate(t))
-    (folder / "video" / "times.csv").write_text("name,t\n" + lines)
-    tip_lines = "".join(f"{time},{x},{y}\n" for time, (x, y) in zip(t, tips, strict=True))
-    (folder / "tip.csv").write_text("t,tip_x,tip_y\n" + tip_lines)
+    write_times(folder, t, tips)
     obj = GridObject.from_outline(L_SHAPE, max_cells=40, name="l_shape")
     GridObject("l_shape", *obj.grid, obj.prior, HEIGHT).write_yaml(folder / "object.yaml")
     return t, tips, poses

@@ -36,6 +36,7 @@ from gridpush_drake.pushes.importers.mit import MitImporter
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.schema.scenario_file import read_scenario
 from tests.helpers.made_identifications import make_block
+from tests.helpers.rough_pushes import look_up
 
 READERS = [
     GridObject.from_yaml,
@@ -243,7 +244,7 @@ def test_plans_for_objects_without_end():
         GridObject.from_outline([[-900, -300], [900, -300], [900, 300], [-900, 300]]), 0.01
     )
     assert max(table.values.shape) <= MAX_TABLE_NODES + 2
-    np.testing.assert_allclose(table.lookup(np.array([[0.0, 290.0]]))[0], -10.0, atol=table.step)
+    np.testing.assert_allclose(look_up(table, np.array([[0.0, 290.0]]))[0], -10.0, atol=table.step)
 
 
 def test_a_small_file_that_is_large_unpacked(tmp_path):

@@ -1,13 +1,38 @@
 """The pushes of `limit_surface` in NumPy, by which its compiled form is checked."""
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
 from gridpush_drake.geometry.se2 import Array, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.contact_kernels import MIN_SPEED
-from gridpush_drake.planning.contact.limit_surface import PUSH_STEPS, make_distance_table
+from gridpush_drake.planning.contact.contact_kernels import LAST_CELL, MIN_SLOPE, MIN_SPEED
+from gridpush_drake.planning.contact.limit_surface import (
+    PUSH_STEPS,
+    DistanceTable,
+    make_distance_table,
+)
+
+
+def look_up(table: DistanceTable, p: Array) -> tuple[Array, Array]:
+    """Looks up distances (N,), m, and outward unit normals (N, 2) at points (N, 2)."""
+    # Beyond the table, the values at its edge.
+    cell = np.clip((p - table.corner) / table.step, 0.0, np.array(table.values.shape) - LAST_CELL)
+
+    def interpolate(x: Array, y: Array) -> Array:
+        return map_coordinates(table.values, [x, y], order=1)
+
+    x, y = cell.T
+    i, j = np.floor(cell.T)
+    slope = np.column_stack(
+        [
+            interpolate(i + 1, y) - interpolate(i, y),
+            interpolate(x, j + 1) - interpolate(x, j),
+        ]
+    )
+    length = np.linalg.norm(slope, axis=1, keepdims=True)
+    return interpolate(x, y), slope / np.maximum(length, MIN_SLOPE)
 
 
 def predict_roughly(
@@ -45,7 +70,7 @@ def predict_roughly(
         # The tip, and its motion u in this step, seen from the body; the contact below the tip.
         p_tip = rotate(-theta, start + h * step * direction - center)
         u = h * rotate(-theta, direction)
-        away, outward = table.lookup(p_tip + c)
+        away, outward = look_up(table, p_tip + c)
         twist = _calc_twist(
             p=p_tip - away[:, None] * outward,
             n=-outward,

@@ -12,37 +12,20 @@ import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydrake.geometry import (
-    ClippingRange,
-    ColorRenderCamera,
-    DepthRange,
-    DepthRenderCamera,
-    GeometryInstance,
-    LightParameter,
-    MakeRenderEngineVtk,
-    Mesh,
-    PerceptionProperties,
-    RenderCameraCore,
-    RenderEngineVtkParams,
-    RenderLabel,
-    SceneGraph,
-)
+from pydrake.geometry import GeometryInstance, Mesh, PerceptionProperties, RenderLabel
 from pydrake.math import RigidTransform
-from pydrake.systems.sensors import CameraInfo
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 from shapely import Point, Polygon, affinity
 
 from gridpush_drake.bench.perception.material_mesh import Material, make_plane_mesh, make_prism_mesh
 from gridpush_drake.bench.perception.rendered_table import (
-    FAR_CLIPPING,
-    NEAR_CLIPPING,
-    SHADOW_MAP,
+    RenderedScene,
+    make_lights,
     make_overhead_camera,
 )
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception import Camera, Frame
-from gridpush_drake.perception.images.camera import DRAKE_PIXEL_MIDDLE
 from gridpush_drake.perception.images.frames import Mask
 from gridpush_drake.units import MM_PER_M
 
@@ -146,9 +129,6 @@ TABLE_LABEL = 1
 
 OBJECT_LABEL = 2
 """Label of the object's first part; others have the numbers after it."""
-
-RENDERER_NAME = "vtk"
-"""Name of the renderer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,7 +322,7 @@ def _make_reflection(rng: np.random.Generator) -> NDArray[np.uint8]:
 
 def _render(
     meshes: list[Mesh], camera: Camera, rng: np.random.Generator
-) -> tuple[Array, NDArray[np.int16], Array]:
+) -> tuple[NDArray[np.uint8], NDArray[np.int16], Array]:
     """Renders a scene by light from a lamp, hard or soft.
 
     Args:
@@ -359,73 +339,21 @@ def _render(
     lamps = [
         direction + softness * np.array([*rng.standard_normal(2), 0.0]) for _ in range(LAMP_COUNT)
     ]
-    scene = _Scene(meshes, camera, lamps, strength, rng.uniform(*FILL_LIGHT_RANGE) * strength)
+    # The room's own light, from all sides, takes the edge off the shadows.
+    fill = rng.uniform(*FILL_LIGHT_RANGE) * strength
+    lights = [("world", strength / LAMP_COUNT, lamp) for lamp in lamps]
+    lights.append(("camera", fill, np.array([0.0, 0.0, 1.0])))
+    scene = RenderedScene(camera, make_lights(lights))
+    for number, mesh in enumerate(meshes):
+        properties = PerceptionProperties()
+        properties.AddProperty("label", "id", RenderLabel(TABLE_LABEL + number))
+        instance = GeometryInstance(RigidTransform(), mesh, f"mesh_{number}")
+        instance.set_perception_properties(properties)
+        scene.graph.RegisterAnchoredGeometry(scene.source, instance)
     return scene.render_color(), scene.render_labels(), scene.render_depth()
 
 
-class _Scene:
-    """A scene to be rendered once."""
-
-    def __init__(
-        self, meshes: list[Mesh], camera: Camera, lamps: list[Array], strength: float, fill: float
-    ) -> None:
-        """Makes the scene; see `_render`."""
-        self._scene = SceneGraph()
-        source = self._scene.RegisterSource("photograph")
-        lights = [
-            LightParameter(
-                type="directional",
-                frame="world",
-                intensity=strength / len(lamps),
-                direction=list(lamp),
-            )
-            for lamp in lamps
-        ]
-        # The room's own light, from all sides, takes the edge off the shadows.
-        lights.append(
-            LightParameter(type="directional", frame="camera", intensity=fill, direction=[0, 0, 1])
-        )
-        parameters = RenderEngineVtkParams(
-            lights=lights, cast_shadows=True, shadow_map_size=SHADOW_MAP
-        )
-        self._scene.AddRenderer(RENDERER_NAME, MakeRenderEngineVtk(parameters))
-        for number, mesh in enumerate(meshes):
-            properties = PerceptionProperties()
-            properties.AddProperty("label", "id", RenderLabel(TABLE_LABEL + number))
-            instance = GeometryInstance(RigidTransform(), mesh, f"mesh_{number}")
-            instance.set_perception_properties(properties)
-            self._scene.RegisterAnchoredGeometry(source, instance)
-        self._context = self._scene.CreateDefaultContext()
-        K = camera.K
-        center = K[:2, 2] + DRAKE_PIXEL_MIDDLE
-        info = CameraInfo(camera.width, camera.height, K[0, 0], K[1, 1], *center)
-        core = RenderCameraCore(
-            RENDERER_NAME, info, ClippingRange(NEAR_CLIPPING, FAR_CLIPPING), RigidTransform()
-        )
-        self._color_camera = ColorRenderCamera(core, False)
-        self._depth_camera = DepthRenderCamera(core, DepthRange(NEAR_CLIPPING, FAR_CLIPPING))
-        self._X_WC = RigidTransform(camera.pose)
-
-    def render_color(self) -> Array:
-        query = self._scene.get_query_output_port().Eval(self._context)
-        world = self._scene.world_frame_id()
-        image = query.RenderColorImage(self._color_camera, world, self._X_WC)
-        return np.array(image.data[..., :3], dtype=np.float64)
-
-    def render_labels(self) -> NDArray[np.int16]:
-        query = self._scene.get_query_output_port().Eval(self._context)
-        world = self._scene.world_frame_id()
-        image = query.RenderLabelImage(self._color_camera, world, self._X_WC)
-        return np.array(image.data[..., 0])
-
-    def render_depth(self) -> Array:
-        query = self._scene.get_query_output_port().Eval(self._context)
-        world = self._scene.world_frame_id()
-        image = query.RenderDepthImage(self._depth_camera, world, self._X_WC)
-        return np.array(image.data[..., 0], dtype=np.float64)
-
-
-def _take_color(color: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
+def _take_color(color: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Makes of colors (height, width, 3) what a camera takes: exposure, blur, noise and JPEG."""
     rows, columns = color.shape[:2]
     # Every photographer exposes so that the table is bright and not white.

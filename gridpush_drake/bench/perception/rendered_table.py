@@ -4,7 +4,8 @@ They are rendered by Drake's VTK engine, which needs neither display nor GPU, an
 camera's noise. There are two lamps: one beside the camera, and one aside, which casts shadows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +36,7 @@ from pydrake.geometry import (
     Shape,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.framework import Context
 from pydrake.systems.sensors import CameraInfo
 from shapely import Polygon
 
@@ -146,6 +148,72 @@ class RenderedObject(NamedTuple):
     color: ArrayLike
 
 
+def make_lights(lamps: Iterable[tuple[str, float, ArrayLike]]) -> list[LightParameter]:
+    """Makes lights of lamps: the frame of each direction, the intensity and the direction."""
+    return [
+        LightParameter(
+            type="directional",
+            frame=frame,
+            intensity=intensity,
+            direction=np.asarray(direction, dtype=np.float64).tolist(),
+        )
+        for frame, intensity, direction in lamps
+    ]
+
+
+class RenderedScene:
+    """What a camera sees of shapes, by Drake's VTK engine.
+
+    Attributes:
+        camera: a camera without distortion whose pose X_WC is known.
+        graph: where shapes are added before the first picture.
+        source: source of the shapes.
+    """
+
+    def __init__(self, camera: Camera, lights: list[LightParameter]) -> None:
+        """Makes a scene without shapes, which these lights shine on with shadows."""
+        self.camera = camera
+        self.graph = SceneGraph()
+        self.source = self.graph.RegisterSource("scene")
+        parameters = RenderEngineVtkParams(
+            lights=lights, cast_shadows=True, shadow_map_size=SHADOW_MAP
+        )
+        self.graph.AddRenderer(RENDERER_NAME, MakeRenderEngineVtk(parameters))
+        K = camera.K
+        center = K[:2, 2] + DRAKE_PIXEL_MIDDLE
+        info = CameraInfo(camera.width, camera.height, K[0, 0], K[1, 1], *center)
+        core = RenderCameraCore(
+            RENDERER_NAME, info, ClippingRange(NEAR_CLIPPING, FAR_CLIPPING), RigidTransform()
+        )
+        self._color_camera = ColorRenderCamera(core, False)
+        self._depth_camera = DepthRenderCamera(core, DepthRange(NEAR_CLIPPING, FAR_CLIPPING))
+        self._at = (self.graph.world_frame_id(), RigidTransform(camera.pose))
+
+    @cached_property
+    def context(self) -> Context:
+        """Where the frames' poses are set; made once all shapes are there."""
+        return self.graph.CreateDefaultContext()
+
+    def render_color(self) -> NDArray[np.uint8]:
+        """Renders colors, (height, width, 3), 0 to 255."""
+        image = self._query.RenderColorImage(self._color_camera, *self._at)
+        return np.array(image.data[..., :3])
+
+    def render_labels(self) -> NDArray[np.int16]:
+        """Renders the labels of the shapes that are seen, (height, width)."""
+        image = self._query.RenderLabelImage(self._color_camera, *self._at)
+        return np.array(image.data[..., 0])
+
+    def render_depth(self) -> NDArray[np.float64]:
+        """Renders depth, (height, width), m."""
+        image = self._query.RenderDepthImage(self._depth_camera, *self._at)
+        return np.array(image.data[..., 0], dtype=np.float64)
+
+    @property
+    def _query(self) -> QueryObject:
+        return self.graph.get_query_output_port().Eval(self.context)
+
+
 class RenderedTable:
     """The scene; each look is a pure function of the poses and a seed."""
 
@@ -172,18 +240,7 @@ class RenderedTable:
             others: other objects on the table.
         """
         self.camera = camera
-        self._scene = SceneGraph()
-        self._source = self._scene.RegisterSource("table")
-        lights = [
-            LightParameter(
-                type="directional", frame=frame, intensity=intensity, direction=list(direction)
-            )
-            for frame, intensity, direction in TABLE_LAMPS
-        ]
-        parameters = RenderEngineVtkParams(
-            lights=lights, cast_shadows=True, shadow_map_size=SHADOW_MAP
-        )
-        self._scene.AddRenderer(RENDERER_NAME, MakeRenderEngineVtk(parameters))
+        self._scene = RenderedScene(camera, make_lights(TABLE_LAMPS))
         self._add(
             None,
             Box(TABLE_SIDE, TABLE_SIDE, TABLE_THICKNESS),
@@ -207,15 +264,6 @@ class RenderedTable:
                 [0, 0, ROD_LENGTH / 2],
             )
             self._add(self._arm, Box(*HAND_SIDES), ARM_COLOR, ARM_LABEL, [0, 0, HAND_HEIGHT])
-        self._context = self._scene.CreateDefaultContext()
-        K = camera.K
-        center = K[:2, 2] + DRAKE_PIXEL_MIDDLE
-        info = CameraInfo(camera.width, camera.height, K[0, 0], K[1, 1], *center)
-        core = RenderCameraCore(
-            RENDERER_NAME, info, ClippingRange(NEAR_CLIPPING, FAR_CLIPPING), RigidTransform()
-        )
-        self._color_camera = ColorRenderCamera(core, False)
-        self._depth_camera = DepthRenderCamera(core, DepthRange(NEAR_CLIPPING, FAR_CLIPPING))
 
     def look(
         self,
@@ -252,23 +300,19 @@ class RenderedTable:
                 else [*np.asarray(tip, dtype=np.float64), 0.0]
             )
             poses.set_value(self._arm, RigidTransform(at))
-        self._scene.get_source_pose_port(self._source).FixValue(self._context, poses)
-        query: QueryObject = self._scene.get_query_output_port().Eval(self._context)
-        world = self._scene.world_frame_id()
-        X_WC = RigidTransform(self.camera.pose)
-        color = query.RenderColorImage(self._color_camera, world, X_WC).data[..., :3]
-        labels = query.RenderLabelImage(self._color_camera, world, X_WC).data[..., 0]
+        scene = self._scene
+        scene.graph.get_source_pose_port(scene.source).FixValue(scene.context, poses)
+        color = scene.render_color()
         rng = np.random.default_rng(seed)
         noisy = color + COLOR_NOISE * rng.standard_normal(color.shape)
         noisy = np.clip(noisy, 0, 255).astype(np.uint8)
         measured = None
         if depth:
-            image = query.RenderDepthImage(self._depth_camera, world, X_WC)
-            measured = add_depth_noise(image.data[..., 0].astype(np.float64), rng)
-        return Frame(noisy, measured, t), labels == ARM_LABEL
+            measured = add_depth_noise(scene.render_depth(), rng)
+        return Frame(noisy, measured, t), scene.render_labels() == ARM_LABEL
 
     def _add_frame(self, name: str) -> FrameId:
-        return self._scene.RegisterFrame(self._source, GeometryFrame(name))
+        return self._scene.graph.RegisterFrame(self._scene.source, GeometryFrame(name))
 
     def _add_prism(self, name: str, prism: RenderedObject) -> FrameId:
         """Adds an object; returns its frame."""
@@ -319,10 +363,8 @@ class RenderedTable:
         name = name or f"{type(shape).__name__}_{label}"
         instance = GeometryInstance(RigidTransform(np.asarray(at, dtype=np.float64)), shape, name)
         instance.set_perception_properties(properties)
-        if frame is None:
-            self._scene.RegisterAnchoredGeometry(self._source, instance)
-        else:
-            self._scene.RegisterGeometry(self._source, frame, instance)
+        graph = self._scene.graph
+        graph.RegisterGeometry(self._scene.source, frame or graph.world_frame_id(), instance)
 
 
 def add_depth_noise(z: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float32]:

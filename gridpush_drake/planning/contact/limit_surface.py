@@ -38,8 +38,6 @@ from gridpush_drake.geometry.se2 import Array, compose, rotate, transform
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.contact_kernels import (
-    LAST_CELL,
-    MIN_SLOPE,
     follow_roughly,
 )
 from gridpush_drake.planning.contact.trial import TrialRunner
@@ -86,28 +84,6 @@ class DistanceTable:
     corner: Array
     step: float
     values: Array
-
-    def lookup(self, p: Array) -> tuple[Array, Array]:
-        """Looks distances and normals up at points (N, 2), by bilinear interpolation.
-
-        Points beyond the table have the values at its edge.
-
-        Returns:
-            Distances (N,), m, and outward unit normals (N, 2).
-        """
-        # Node (i, j) below each point, and how far (u, v) beyond it the point is, in cells.
-        cell = np.clip((p - self.corner) / self.step, 0.0, np.array(self.values.shape) - LAST_CELL)
-        i, j = cell.astype(int).T
-        u = cell[:, 0] - i
-        v = cell[:, 1] - j
-        a = self.values[i, j]
-        b = self.values[i + 1, j]
-        c = self.values[i, j + 1]
-        d = self.values[i + 1, j + 1]
-        value = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
-        slope = np.column_stack([(1 - v) * (b - a) + v * (d - c), (1 - u) * (c - a) + u * (d - b)])
-        length = np.linalg.norm(slope, axis=1, keepdims=True)
-        return value, slope / np.maximum(length, MIN_SLOPE)
 
 
 @lru_cache(maxsize=32)
