@@ -304,8 +304,8 @@ class RenderedTable:
         scene.graph.get_source_pose_port(scene.source).FixValue(scene.context, poses)
         color = scene.render_color()
         rng = np.random.default_rng(seed)
-        noisy = color + COLOR_NOISE * rng.standard_normal(color.shape)
-        noisy = np.clip(noisy, 0, 255).astype(np.uint8)
+        noise = COLOR_NOISE * rng.standard_normal(color.shape)
+        noisy = np.clip(color + noise, 0, 255).astype(np.uint8)
         measured = None
         if depth:
             measured = add_depth_noise(scene.render_depth(), rng)
