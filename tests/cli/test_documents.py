@@ -48,6 +48,7 @@ RUN_ELSEWHERE = NOTEBOOKS | {"docs/extending.md"}
 DIRECTIVES = (
     "{toctree}",
     "{public-names}",
+    "{scenario-sections}",
     "{station-diagram}",
     "{eval-rst}",
     "{figure}",
