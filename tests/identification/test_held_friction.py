@@ -100,3 +100,5 @@ def test_frictions_that_cannot_be_held_are_refused() -> None:
     for bad in (truth.friction[1:], -truth.friction, np.full(obj.n, np.nan)):
         with pytest.raises(IdentificationError, match="one for each cell"):
             identify(Model(obj), log, friction=HeldFriction(bad))
+    with pytest.raises(IdentificationError, match="the method random_search cannot hold it"):
+        identify(Model(obj), log, "random_search", friction=HeldFriction(truth.friction))
