@@ -122,8 +122,9 @@ class _Workers:
         # An interrupt waits until the new process is known here; the process inherits the block.
         with _blocked_signals():
             here, there = self._context.Pipe()
-            process = self._context.Process(target=_work, args=(there, self._function), daemon=True)
+            process = self._context.Process(target=_work, args=(there,), daemon=True)
             process.start()
+            here.send(self._function)
             there.close()
             self._workers[here] = process
         return here
@@ -136,11 +137,13 @@ class _Workers:
         return worker.exitcode
 
 
-def _work(connection: Connection, function: Callable[[Any], Any]) -> None:
-    """Does a worker's work: jobs in, answers out, until the pipe or the parent ends."""
+def _work(connection: Connection) -> None:
+    """Does a worker's work: the function and jobs in, answers out, until pipe or parent ends."""
     # SIGTERM ends a worker; an interrupt is the parent's business.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
     Thread(target=_end_with_parent, daemon=True).start()
+    # What the function needs is imported only now, for that may take seconds.
+    function = connection.recv()
     while True:
         try:
             job = connection.recv()
