@@ -29,5 +29,6 @@ def import_extra(package: str, extra: str) -> ModuleType:
         if error.name != package:
             raise
         raise MissingExtraError(
-            f"{package}: is not installed; expected pip install '.[{extra}]', in a clone of the repository"
+            f"{package}: is not installed; expected pip install '.[{extra}]', in a clone of the "
+            "repository"
         ) from error

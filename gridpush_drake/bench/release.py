@@ -89,7 +89,7 @@ SIX_OBJECTS = (
 """Objects of the rows of whole runs."""
 
 SIX_NAMED = " ".join(f"--objects {name}" for name in SIX_OBJECTS)
-"""The same on the command line."""
+"""`SIX_OBJECTS` as options of a command."""
 
 GRASP = f"{PACKAGE}.bench.grasp:STUDY"
 """The bench of whole runs."""
@@ -319,21 +319,35 @@ def _measure_row(
         for job in jobs:
             if results.find_stamp(job).get("code", code) != code:
                 results.forget(job)
-    pairs = []
+    pairs: list[tuple[Any, Any]] = []
     for kind in study.tasks:
         mine = [job for job in jobs if type(job) is kind.job]
-        done = set(results.find(kind.run, mine))
+        done = results.find(kind.run, mine)
         # In any order, so that what is done of a row at any time stands for the whole.
         order = np.random.default_rng(chosen.seed).permutation(len(mine)).tolist()
         left = [mine[i] for i in order if i not in done]
         batch = max(2 * options.workers, 1)
-        execution = Execution(options.workers, report, results)
         while left and monotonic() < end:
+            shown = _count_from(report, name, len(mine) - len(left), len(mine))
+            execution = Execution(options.workers, shown, results)
             run_jobs(kind.run, left[:batch], kind.describe, execution)
             left = left[batch:]
         pairs += [(mine[i], result) for i, result in results.find(kind.run, mine).items()]
-    stamps = [results.find_stamp(job) for job, _ in pairs]
-    return MeasuredRow(name, row, len(jobs), Done(pairs), stamps, code)
+    return MeasuredRow(
+        name=name,
+        row=row,
+        job_count=len(jobs),
+        done=Done(pairs),
+        stamps=[results.find_stamp(job) for job, _ in pairs],
+        code=code,
+    )
+
+
+def _count_from(report: Report | None, name: str, known: int, total: int) -> Report | None:
+    """Makes what reports the progress of a part of a row's jobs as that of all."""
+    if report is None:
+        return None
+    return lambda said, done, _: report(f"{name}: {said}", known + done, total)
 
 
 def find_commit() -> str:

@@ -9,10 +9,11 @@ number of them may put one down at (1, 3), and sees it so.
 
 These are worlds:
 
-    SimulatedWorld           here: the model's own quasi-static simulator, for any number of objects;
-                             the finger of one can be steered
+    SimulatedWorld           here: the model's own quasi-static simulator, for any number of
+                             objects; the finger of one can be steered
     EdgeWorld                `bench.pregrasp.world`: the same, with loads that shift at an edge
-    MujocoWorld              `bench.truth.mujoco_world`: a rigid body on feet, in MuJoCo; steered, too
+    MujocoWorld              `bench.truth.mujoco_world`: a rigid body on feet, in MuJoCo; its
+                             pusher can be steered
     PlantWorld               `bench.worlds.plant`: a body in Drake's MultibodyPlant
     EnvironmentWorld         `gym.world`: an episode of a Gymnasium environment
     StationWorld             `station.simulated.world`: a robot in a simulated station
