@@ -1,20 +1,45 @@
 """The bench of what the pages state: sittings, pages, and rows whose code has changed."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from gridpush_drake.bench import release
 from gridpush_drake.bench.release import ROWS, STUDY, ReleaseRow, hash_code, list_imports
+from gridpush_drake.bench.study import Done, JobKind, Study, StudyOptions
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.report.table import Table
 
 ROOT = Path(__file__).parents[2]
-QUICK = ReleaseRow(
-    "gridpush_drake.bench.pregrasp.experiments:STUDY",
-    {"objects": ("claw_hammer",), "mass_sets": 1, "experiment": "exploring", "seeds": 1},
-    "gridpush bench pregrasp",
+
+
+@dataclass(frozen=True)
+class Double:
+    """A job: a number that is doubled."""
+
+    number: int
+
+
+def double(job: Double) -> int:
+    return 2 * job.number
+
+
+def tabulate(options: StudyOptions, done: Done) -> list[Table]:
+    return [Table("Doubled", ("number",), [[number] for number in sorted(done.of(DOUBLING))])]
+
+
+DOUBLING = JobKind(Double, double, str)
+DOUBLES = Study(
+    name="doubles",
+    help="Double numbers.",
+    options=StudyOptions,
+    make_jobs=lambda options: [Double(number) for number in range(6)],
+    tasks=(DOUBLING,),
+    tabulate=tabulate,
 )
+QUICK = ReleaseRow(f"{__name__}:DOUBLES", {}, "gridpush bench doubles")
 
 
 def measure(folder, **more):
@@ -37,7 +62,8 @@ def test_a_row_goes_on_where_it_was_and_its_table_is_written_into_pages(tmp_path
     (file,) = (tmp_path / "kept").glob("*.jsonl")
     lines = file.read_text().splitlines()
     total = done[0].rows[0][2]
-    assert done[0].rows[0][1] == total == len(lines) - 1 > 0
+    assert done[0].rows[0][1] == total == len(lines) - 1 == 6
+    assert done[1].rows == [[0], [2], [4], [6], [8], [10]]
     text = page.read_text()
     assert text.startswith("Before.") and text.endswith("<!-- release end -->\n\nAfter.\n")
     assert f"{total} of {total} jobs" in text and done[1].title in text
