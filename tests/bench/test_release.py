@@ -105,6 +105,7 @@ def test_the_hash_follows_whatever_a_bench_imports(tmp_path, monkeypatch):
 
 
 def test_every_row_is_of_a_bench_with_jobs_and_of_options_that_it_has():
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
     for name, row in ROWS.items():
         study = row.load()
         jobs = study.make_jobs(study.options(**row.settings))
