@@ -213,7 +213,7 @@ def run_job(job: StationJob) -> StationScore:
             calc_center_error(record, learned),
         ),
         tracking_error=limits.tracking_error,
-        fraction=max(limits.position_fraction, limits.velocity_fraction, limits.torque_share),
+        fraction=max(limits.position_fraction, limits.velocity_fraction, limits.torque_fraction),
         touched=len(limits.touched),
         duration=record.duration,
         camera=job.camera,

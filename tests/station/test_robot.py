@@ -135,7 +135,7 @@ def test_a_robot_that_comes_with_the_package_pushes_within_its_limits(name):
     assert station.GetOutputPort("object.pose_true").Eval(context)[1] > 0.01
     seen = monitor.limit_report
     assert seen.ok
-    assert min(seen.position_fraction, seen.velocity_fraction, seen.torque_share) > 0.05
+    assert min(seen.position_fraction, seen.velocity_fraction, seen.torque_fraction) > 0.05
     assert seen.tracking_error < 2e-3
     arm = station.robot.arm_model
     assert station.GetOutputPort(f"{arm}.position_commanded").Eval(context) == pytest.approx(

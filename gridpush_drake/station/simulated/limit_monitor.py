@@ -36,7 +36,7 @@ class LimitReport:
         position_fraction: greatest distance of a joint from the middle of its range, by half the
             range.
         velocity_fraction: greatest speed of a joint, by its limit.
-        torque_share: greatest torque commanded to a joint, by its limit.
+        torque_fraction: greatest torque commanded to a joint, by its limit.
         tracking_error: greatest distance of the tip from where it should have been at the time, in
             all pushes and while it was steered, m.
         force: greatest force on the finger's tip, N.
@@ -47,7 +47,7 @@ class LimitReport:
 
     position_fraction: float = 0.0
     velocity_fraction: float = 0.0
-    torque_share: float = 0.0
+    torque_fraction: float = 0.0
     tracking_error: float = 0.0
     force: float = 0.0
     strayed: dict[int, float] = field(default_factory=dict)
@@ -56,7 +56,7 @@ class LimitReport:
     @property
     def ok(self) -> bool:
         """Whether all limits were kept, and only the tip or a grasp touched the object."""
-        fractions = (self.position_fraction, self.velocity_fraction, self.torque_share)
+        fractions = (self.position_fraction, self.velocity_fraction, self.torque_fraction)
         return max(fractions) <= 1.0 and not self.touched
 
     def explain_strayed(self) -> str:
@@ -158,7 +158,7 @@ class LimitMonitor:
         report.velocity_fraction = raise_fraction(
             report.velocity_fraction, velocity, self._max_velocity
         )
-        report.torque_share = raise_fraction(report.torque_share, torque, self._max_torque)
+        report.torque_fraction = raise_fraction(report.torque_fraction, torque, self._max_torque)
 
         # The tip, in pushes only: on its way from one to the next nothing depends on it.
         push = read("executor.status")
