@@ -15,10 +15,10 @@ A row of which a result was made by other code than there is now says so by itse
 import ast
 import re
 import subprocess
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, cached_property
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
@@ -30,15 +30,12 @@ import numpy as np
 from gridpush_drake.bench.study import Done, Study, StudyOptions, option
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import write_whole
-from gridpush_drake.jobs.results import hash_content, open_results
+from gridpush_drake.jobs.results import DATA_SUFFIXES, hash_files, list_sources, open_results
 from gridpush_drake.jobs.run import DEFAULT_WORKERS, Execution, Report, check_known, run_jobs
 from gridpush_drake.report.table import Table
 
 PACKAGE = "gridpush_drake"
 """Name of the package."""
-
-DATA_SUFFIXES = (".yaml", ".sdf", ".urdf")
-"""Endings of the names of data files, on which every row depends."""
 
 DEFAULT_FOLDER = Path("gridpush_release")
 """Folder in which results are kept by default."""
@@ -48,6 +45,12 @@ SECONDS_PER_MINUTE = 60.0
 
 MARK = re.compile(r"(<!-- release: (\w+) -->\n).*?(<!-- release end -->)", re.DOTALL)
 """Where a page has a row's tables."""
+
+LAZY_PLACE = re.compile(r"([\w.]+):\w+")
+"""How a file names what it imports only when it is asked for."""
+
+DOTTED_NAME = re.compile(rf"{PACKAGE}(\.\w+)+")
+"""Name of a package or module of the package."""
 
 COMMIT_LENGTH = 8
 """Characters of a commit that are written."""
@@ -60,12 +63,10 @@ class ReleaseRow:
     Attributes:
         target: the bench, MODULE:ATTRIBUTE.
         settings: what is chosen of its options. The seeds were not used to choose any constant.
-        command: what a reader types to measure the same.
     """
 
     target: str
     settings: Mapping[str, Any]
-    command: str
 
     @property
     def module(self) -> str:
@@ -77,6 +78,23 @@ class ReleaseRow:
         study: Study[Any] = getattr(import_module(self.module), self.target.partition(":")[2])
         return study
 
+    @property
+    def command(self) -> str:
+        """What a reader types to measure the same."""
+        study = self.load()
+        flags = {
+            each.name: each.metadata.get("name") or f"--{each.name.replace('_', '-')}"
+            for each in fields(study.options)
+        }
+        words = ["gridpush bench", study.name]
+        for name, value in self.settings.items():
+            if value is True:
+                words.append(flags[name])
+                continue
+            for each in value if isinstance(value, tuple) else (value,):
+                words.append(f"{flags[name]} {each}")
+        return " ".join(words)
+
 
 SIX_OBJECTS = (
     "claw_hammer",
@@ -87,9 +105,6 @@ SIX_OBJECTS = (
     "toothpaste_tube",
 )
 """Objects of the rows of whole runs."""
-
-SIX_NAMED = " ".join(f"--objects {name}" for name in SIX_OBJECTS)
-"""`SIX_OBJECTS` as options of a command."""
 
 GRASP = f"{PACKAGE}.bench.grasp:STUDY"
 """The bench of whole runs."""
@@ -104,12 +119,10 @@ ROWS: dict[str, ReleaseRow] = {
     "grasp": ReleaseRow(
         GRASP,
         {"objects": SIX_OBJECTS, "seeds": 7, "seed": 4100},
-        f"gridpush bench grasp {SIX_NAMED} --seeds 7 --seed 4100",
     ),
     "unknown_inertia": ReleaseRow(
         GRASP,
         {"objects": SIX_OBJECTS, "seeds": 7, "seed": 4200, "unknown_inertia": True},
-        f"gridpush bench grasp {SIX_NAMED} --seeds 7 --seed 4200 --unknown-inertia",
     ),
     "unknown_inertia_camera": ReleaseRow(
         GRASP,
@@ -120,37 +133,30 @@ ROWS: dict[str, ReleaseRow] = {
             "unknown_inertia": True,
             "camera": "rgbd",
         },
-        f"gridpush bench grasp {SIX_NAMED} --seeds 7 --seed 4000 --unknown-inertia --camera rgbd",
     ),
     "scene_tasks": ReleaseRow(
         SCENE_TASKS,
         {"seeds": 60, "seed": 2000},
-        "gridpush bench scene-tasks --seeds 60 --seed 2000",
     ),
     "paths": ReleaseRow(
         STEERING,
         {"kinds": ("path",), "runs": 5, "seed": 2000},
-        "gridpush bench feedback --kind path --runs 5 --seed 2000",
     ),
     "goals": ReleaseRow(
         STEERING,
         {"kinds": ("goal",), "runs": 5, "seed": 2000},
-        "gridpush bench feedback --kind goal --runs 5 --seed 2000",
     ),
     "tilt_tests": ReleaseRow(
         f"{PACKAGE}.bench.tilt_tests.experiments:STUDY",
         {"part": "scale", "bottom": "three_feet", "truths": 10, "seed": 5000},
-        "gridpush bench weighing --part scale --bottom three_feet --truths 10 --seed 5000",
     ),
     "hypotheses": ReleaseRow(
         f"{PACKAGE}.bench.truth.hypotheses:STUDY",
         {"bodies": 100, "seed": 3000},
-        "gridpush bench hypotheses --bodies 100 --seed 3000",
     ),
     "paper": ReleaseRow(
         f"{PACKAGE}.bench.paper_figures:STUDY",
         {"methods": ("default",)},
-        "gridpush bench paper --method default",
     ),
 }
 """What the pages state, by name. What needs real pushes or measures times is not among them: see
@@ -197,6 +203,7 @@ class MeasuredRow:
     Attributes:
         name: its name.
         row: the row.
+        options: the bench's options by which it was measured.
         job_count: number of its jobs.
         done: those that are done, with their results.
         stamps: commit, date and hash of the code of each.
@@ -205,6 +212,7 @@ class MeasuredRow:
 
     name: str
     row: ReleaseRow
+    options: StudyOptions
     job_count: int
     done: Done
     stamps: Sequence[Mapping[str, str]]
@@ -215,25 +223,27 @@ class MeasuredRow:
         """Whether a result was made by other code than there is now."""
         return any(stamp["code"] != self.code for stamp in self.stamps)
 
+    @property
+    def commits(self) -> str:
+        """The commits that results were made by, in the order in which they were done."""
+        return ", ".join(dict.fromkeys(stamp["commit"] for stamp in self.stamps))
+
     def describe(self) -> str:
         """Says in a sentence or two what was measured, when and with what."""
         if not self.stamps:
             return f"`{self.row.command}`: not measured yet."
         dates = sorted({stamp["date"] for stamp in self.stamps})
-        commits = list(dict.fromkeys(stamp["commit"] for stamp in self.stamps))
         when = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
         said = (
             f"`{self.row.command}`: {len(self.stamps)} of {self.job_count} jobs, {when}, commit "
-            f"{', '.join(commits)}."
+            f"{self.commits}."
         )
         return said + (" **The code has changed since.**" if self.is_changed else "")
 
-    def tabulate(self) -> list[Table]:
-        """Makes the bench's own tables of what is done so far."""
-        if not self.done.pairs:
-            return []
-        study = self.row.load()
-        return study.tabulate(study.options(**self.row.settings), self.done)
+    @cached_property
+    def tables(self) -> list[Table]:
+        """The bench's own tables of what is done so far."""
+        return self.row.load().tabulate(self.options, self.done) if self.done.pairs else []
 
 
 def measure(options: ReleaseOptions, report: Report | None) -> list[Table]:
@@ -257,7 +267,7 @@ def measure(options: ReleaseOptions, report: Report | None) -> list[Table]:
             each.name,
             len(each.stamps),
             each.job_count,
-            ", ".join(dict.fromkeys(stamp["commit"] for stamp in each.stamps)) or "-",
+            each.commits or "-",
             "yes" if each.is_changed else "no",
         ]
         for each in measured
@@ -265,7 +275,7 @@ def measure(options: ReleaseOptions, report: Report | None) -> list[Table]:
     columns = ("row", "jobs done", "jobs", "commits", "code changed since")
     return [
         Table("What the pages state", columns, rows),
-        *(table for each in measured for table in each.tabulate()),
+        *(table for each in measured for table in each.tables),
     ]
 
 
@@ -278,7 +288,7 @@ def write_into(text: str, measured: Sequence[MeasuredRow]) -> str:
         each = by_name.get(name)
         if each is None:
             return found.group()
-        tables = "\n".join(table.to_markdown() for table in each.tabulate())
+        tables = "\n".join(table.to_markdown() for table in each.tables)
         return f"{begin}{each.describe()}\n\n{tables}{end}"
 
     return MARK.sub(write, text)
@@ -336,6 +346,7 @@ def _measure_row(
     return MeasuredRow(
         name=name,
         row=row,
+        options=chosen,
         job_count=len(jobs),
         done=Done(pairs),
         stamps=[results.find_stamp(job) for job, _ in pairs],
@@ -350,6 +361,7 @@ def _count_from(report: Report | None, name: str, known: int, total: int) -> Rep
     return lambda said, done, _: report(f"{name}: {said}", known + done, total)
 
 
+@cache
 def find_commit() -> str:
     """Returns the commit of the checkout in which the package is, with + where it was changed.
 
@@ -370,38 +382,59 @@ def find_commit() -> str:
 
 @cache
 def hash_code(module: str) -> str:
-    """Hashes the code that a module of the package stands on, and the package's data.
-
-    The code is the module's own and that of all modules of the package which it imports, and which
-    these import, wherever in a file they do.
-    """
+    """Hashes the code that a module of the package stands on (`list_code`), and all data."""
     package = Path(str(files(PACKAGE)))
+    paths = [*list_code(package, module).values(), *list_sources(package, DATA_SUFFIXES)]
+    return hash_files(package, paths)
+
+
+def list_code(package: Path, module: str) -> dict[str, Path]:
+    """Finds the files of a module, of all modules that it imports, which these import, and so on.
+
+    Returns:
+        The files by the modules' names.
+    """
     known: dict[str, Path] = {}
     todo = [module]
     while todo:
         name = todo.pop()
         path = _find_file(package, name)
-        if path is None or name in known:
-            continue
-        known[name] = path
-        todo += list_imports(path)
-    sums = [f"{name} {hash_content(path.read_bytes())}" for name, path in known.items()]
-    sums += [
-        f"{path.relative_to(package)} {hash_content(path.read_bytes())}"
-        for path in package.rglob("*")
-        if path.suffix in DATA_SUFFIXES
-    ]
-    return hash_content("\n".join(sorted(sums)).encode())
+        if path is not None and name not in known:
+            known[name] = path
+            todo += list_imports(path)
+    return known
 
 
-def list_imports(path: Path) -> Iterator[str]:
-    """Yields the names of the package's modules, and of things in them, that a file imports."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def list_imports(path: Path) -> list[str]:
+    """Lists the names of the package's modules, and of things in them, that a file may import.
+
+    It may import what texts name as "MODULE:NAME", too, such as those in the table of tasks: there
+    MODULE is within the package, or within a package that another text of the file names.
+    """
+    return list(_find_imports(path.read_text(encoding="utf-8")))
+
+
+@cache
+def _find_imports(text: str) -> frozenset[str]:
+    """Finds what a file's text imports; all rows stand on many of the same files."""
+    found: set[str] = set()
+    bases = {PACKAGE}
+    places: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
-            yield from (each.name for each in node.names if each.name.startswith(PACKAGE))
+            found.update(each.name for each in node.names if each.name.startswith(PACKAGE))
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith(PACKAGE):
-            yield str(node.module)
-            yield from (f"{node.module}.{each.name}" for each in node.names)
+            found.add(str(node.module))
+            found.update(f"{node.module}.{each.name}" for each in node.names)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            place = LAZY_PLACE.fullmatch(node.value)
+            if place is not None:
+                places.add(place[1])
+            elif DOTTED_NAME.fullmatch(node.value):
+                bases.add(node.value)
+    found.update(place for place in places if place.startswith(PACKAGE))
+    found.update(f"{base}.{place}" for base in bases for place in places)
+    return frozenset(found)
 
 
 def _find_file(package: Path, name: str) -> Path | None:

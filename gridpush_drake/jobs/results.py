@@ -8,7 +8,7 @@ first line was cut off is begun anew.
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, fields
 from functools import cache
 from importlib.resources import files
@@ -23,14 +23,14 @@ from gridpush_drake.files import check_writable
 RESULTS_FOLDER = Path("gridpush_bench")
 """Folder in the current one where results are kept, unless another file is named."""
 
-SOURCE_SUFFIXES = (".py", ".yaml", ".sdf", ".urdf")
+DATA_SUFFIXES = (".yaml", ".sdf", ".urdf")
+"""Endings of the names of the package's data on which results depend."""
+
+SOURCE_SUFFIXES = (".py", *DATA_SUFFIXES)
 """Endings of the names of the package's files that results depend on."""
 
 NO_SOURCES = "cli"
 """Folder of the package that no results depend on."""
-
-RESULT_KEYS = ("job", "result")
-"""Keys of a line of results; others say what stands beside the result."""
 
 ANY_PROGRAM = "any"
 """What stands for the program where each result says itself which one made it."""
@@ -176,13 +176,8 @@ def open_results(
     else:
         path = check_writable(path, force=True)
     if path.exists() and not force and not _is_cut(path):
-        lines = _read(path, head)
-        kept = {key: line["result"] for key, line in lines.items()}
-        stamps = {
-            key: {name: line[name] for name in line if name not in RESULT_KEYS}
-            for key, line in lines.items()
-        }
-        return Results(path, kept, None, stamps, stamp)
+        lines, stamps = _read(path, head)
+        return Results(path, lines, None, stamps, stamp)
     return Results(path, {}, head, stamp=stamp)
 
 
@@ -200,13 +195,14 @@ def _is_cut(path: Path) -> bool:
     )
 
 
-def _read(path: Path, head: dict[str, Any]) -> dict[str, Any]:
-    """Reads the lines of results by job, and cuts off a last one that is not whole."""
+def _read(path: Path, head: dict[str, Any]) -> tuple[dict[str, Any], dict[str, dict[str, str]]]:
+    """Reads results, and what stands beside them, by job; drops a last line that was cut off."""
     content = path.read_bytes()
     whole = content[: content.rfind(b"\n") + 1]
     try:
         first, *lines = [json.loads(line) for line in whole.splitlines()]
-        known = {json.dumps(line["job"]): line | {"result": line["result"]} for line in lines}
+        stamps = {json.dumps(line.pop("job")): line for line in map(dict, lines)}
+        known = {key: line.pop("result") for key, line in stamps.items()}
         there = {"bench": first["bench"], "program": first["program"], **first["settings"]}
     except (ValueError, KeyError, TypeError) as error:
         raise GridPushError(
@@ -225,18 +221,26 @@ def _read(path: Path, head: dict[str, Any]) -> dict[str, Any]:
         )
     if len(whole) < len(content):
         os.truncate(path, len(whole))
-    return known
+    return known, stamps
 
 
 def hash_sources() -> str:
     """Hashes the files of the package that results depend on."""
     package = Path(str(files("gridpush_drake")))
-    sums = []
+    return hash_files(package, list_sources(package, SOURCE_SUFFIXES))
+
+
+def list_sources(package: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
+    """Yields the files of the package that results may depend on, with these endings."""
     for folder, folders, names in os.walk(package, followlinks=True):
-        if Path(folder) == package:
+        if Path(folder) == package and NO_SOURCES in folders:
             folders.remove(NO_SOURCES)
-        paths = [Path(folder, name) for name in names if name.endswith(SOURCE_SUFFIXES)]
-        sums += [f"{path.relative_to(package)} {hash_content(path.read_bytes())}" for path in paths]
+        yield from (Path(folder, name) for name in names if name.endswith(suffixes))
+
+
+def hash_files(package: Path, paths: Iterable[Path]) -> str:
+    """Hashes files of the package, with their places in it."""
+    sums = [f"{path.relative_to(package)} {hash_content(path.read_bytes())}" for path in paths]
     return hash_content("\n".join(sorted(sums)).encode())
 
 

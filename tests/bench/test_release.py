@@ -8,9 +8,10 @@ import pytest
 
 import gridpush_drake
 from gridpush_drake.bench import release
-from gridpush_drake.bench.release import ROWS, STUDY, ReleaseRow, hash_code, list_imports
+from gridpush_drake.bench.release import ROWS, STUDY, ReleaseRow, hash_code, list_code, list_imports
 from gridpush_drake.bench.study import Done, JobKind, Study, StudyOptions
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.jobs.results import DATA_SUFFIXES, list_sources
 from gridpush_drake.report.table import Table
 
 PACKAGE = Path(gridpush_drake.__file__).parent
@@ -40,7 +41,7 @@ DOUBLES = Study(
     tasks=(DOUBLING,),
     tabulate=tabulate,
 )
-QUICK = ReleaseRow(f"{__name__}:DOUBLES", {}, "gridpush bench doubles")
+QUICK = ReleaseRow(f"{__name__}:DOUBLES", {})
 
 
 def measure(folder, **more):
@@ -112,6 +113,23 @@ def test_every_row_is_of_a_bench_with_jobs_and_of_options_that_it_has():
         jobs = study.make_jobs(study.options(**row.settings))
         assert jobs and study.tasks, name
         assert row.command.startswith(f"gridpush bench {study.name}"), name
+
+
+def test_whole_runs_stand_on_the_tasks_and_on_the_data():
+    code = list_code(PACKAGE, ROWS["grasp"].module)
+    # The table of tasks names what it imports only when it is asked for.
+    assert "gridpush_drake.station.tasks.pregrasp_task" in code
+    assert "gridpush_drake.systems.execution.push_executor" in code
+    assert "gridpush_drake.cli.main" not in code
+    data = set(list_sources(PACKAGE, DATA_SUFFIXES))
+    assert PACKAGE / "models" / "scenarios" / "grasp.yaml" in data
+
+
+def test_a_row_says_how_to_measure_the_same():
+    assert ROWS["paths"].command == "gridpush bench feedback --kind path --runs 5 --seed 2000"
+    assert ROWS["unknown_inertia_camera"].command.endswith(
+        "--objects toothpaste_tube --seeds 7 --seed 4000 --unknown-inertia --camera rgbd"
+    )
 
 
 def test_the_simulation_stands_on_the_kernels():
