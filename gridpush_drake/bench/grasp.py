@@ -6,7 +6,6 @@ campaign (`station.campaign.episodes`) with the shipped scenario.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from gridpush_drake.bench.study import OBJECTS_OPTION, Done, JobKind, Study, StudyOptions, option
 from gridpush_drake.errors import GridPushError
@@ -20,6 +19,7 @@ from gridpush_drake.station.campaign.episodes import (
     EpisodeOutcome,
     run_episode,
 )
+from gridpush_drake.station.schema.camera_config import CameraKind
 from gridpush_drake.station.schema.scenario_file import format_scenario, read_scenario
 from gridpush_drake.station.tasks.task import TaskStatus
 from gridpush_drake.units import MM_PER_M
@@ -50,9 +50,7 @@ class GraspBenchOptions(StudyOptions):
     unknown_inertia: bool = option(
         False, "Tell the robot neither mass nor friction: it weighs the object on the way."
     )
-    camera: Literal["ideal", "rgbd"] = option(
-        "ideal", "What the robot sees; `gridpush demo --help` explains it."
-    )
+    camera: CameraKind = option("ideal", "What the robot sees; `gridpush demo --help` explains it.")
 
     @property
     def names(self) -> tuple[str, ...]:

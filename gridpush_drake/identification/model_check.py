@@ -31,10 +31,13 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
     Returns:
         Mean cell errors, m: with uniform parameters, as before any push, and as learned.
     """
-    used = select_used(result, log)
+    return _calc_errors(result, select_used(result, log))
+
+
+def _calc_errors(result: Identification, used: PushLog) -> tuple[float, float]:
+    """Calculates the errors of `calc_training_errors`, of pushes of which nothing was refused."""
     before = calc_mean_cell_error(Model(result.obj, physics=result.physics), used)
-    after = calc_mean_cell_error(result, used)
-    return before, after
+    return before, calc_mean_cell_error(result, used)
 
 
 def find_center_conflict(result: Identification) -> float | None:
@@ -103,9 +106,10 @@ def check_fit(result: Identification, used: PushLog) -> FitCheck | None:
     for seen in used:
         cells = obj.cells_at([seen.pose, seen.final_pose])
         moved.append(np.linalg.norm(np.diff(cells, axis=0), axis=2).mean())
+    even_error, error = _calc_errors(result, used)
     return FitCheck(
-        error=calc_mean_cell_error(result, used),
-        even_error=calc_mean_cell_error(Model(obj, physics=result.physics), used),
+        error=error,
+        even_error=even_error,
         motion=float(np.mean(moved)),
         noise_std=result.noise_std,
     )

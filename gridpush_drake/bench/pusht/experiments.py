@@ -256,11 +256,16 @@ def make_environment(center: Array | None = None) -> Any:
     return gymnasium.make(ENVIRONMENT, disable_env_checker=True, **own)
 
 
+def _prepare(job: Episode) -> tuple[Array, Any]:
+    """Returns an episode's true center of friction (2,), px, and its environment."""
+    center = draw_center(job.seed) if job.hidden else np.array(CENTER)
+    return center, make_environment(center if job.hidden else None)
+
+
 def play(job: Episode) -> Played:
     """Plays one episode."""
     _load_kernels()
-    center = draw_center(job.seed) if job.hidden else np.array(CENTER)
-    env = make_environment(center if job.hidden else None)
+    center, env = _prepare(job)
     try:
         player = PushTPlayer(job.seed)
         fields = play_in(env, player, job.seed)
@@ -343,33 +348,31 @@ def draw_centers(picture: Image.Image, player: PushTPlayer, pose: Array, truth: 
     draw.ellipse((x - r, y - r, x + r, y + r), fill="orange", outline="black")
 
 
+def _take_pictures(job: Episode) -> list[Image.Image]:
+    """Plays an episode, and takes a picture at its beginning and after each decision."""
+    truth, env = _prepare(job)
+    player = PushTPlayer(job.seed)
+    pictures = []
+
+    def look(seen: Array) -> None:
+        picture = Image.fromarray(env.render()).resize((FILM_SIZE, FILM_SIZE))
+        draw_centers(picture, player, seen[2:5], truth)
+        pictures.append(picture)
+
+    try:
+        play_in(env, player, job.seed, look)
+    finally:
+        env.close()
+    return pictures
+
+
 def write_film(path: Path, jobs: Sequence[Episode], force: bool = False) -> None:
     """Plays episodes again, and writes a film of them, side by side.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    films = []
-    for job in jobs:
-        truth = draw_center(job.seed) if job.hidden else None
-        env = make_environment(truth)
-        player = PushTPlayer(job.seed)
-        pictures: list[Image.Image] = []
-
-        def look(
-            seen: Array,
-            env: Any = env,
-            player: PushTPlayer = player,
-            truth: Array | None = truth,
-            pictures: list[Image.Image] = pictures,
-        ) -> None:
-            picture = Image.fromarray(env.render()).resize((FILM_SIZE, FILM_SIZE))
-            draw_centers(picture, player, seen[2:5], np.array(CENTER if truth is None else truth))
-            pictures.append(picture)
-
-        play_in(env, player, job.seed, look)
-        env.close()
-        films.append(pictures)
+    films = [_take_pictures(job) for job in jobs]
     columns = min(FILM_COLUMNS, len(films))
     rows = -(-len(films) // columns)
     length = max(map(len, films)) + FILM_REST

@@ -317,10 +317,6 @@ class MujocoWorld(TrackedWorld):
             self._step()
         self._pose = self._read_pose(self._pose[2])
 
-    def read_pose(self) -> Array:
-        """Reads where the body truly is now: (3,) q_WB, m and rad, for judges only."""
-        return self._read_pose(self._pose[2])
-
     @property
     def truth(self) -> WorldTruth:
         """What is true of the body now, for judges only.
