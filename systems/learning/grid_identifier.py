@@ -179,7 +179,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
 
     After two surprises in a row, or a clear one (`identification.innovation`), the object is
     another one than was learned: then only the pushes that surprised and later ones are learned
-        from.
+    from.
 
     Learning takes long. With an answer delay it is done in a worker, see `systems.base.worker`: one
     push after another, while the outputs hold and further pushes are logged. Before the first push
