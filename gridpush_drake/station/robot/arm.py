@@ -54,7 +54,7 @@ class ArmPosture:
     """Kinematics of the finger's tip, and their inverse.
 
     It may be asked by several threads: planning may go on beside the Diagram, see
-        `systems.base.worker`.
+    `systems.base.worker`.
 
     Attributes:
         lower: (n,) lower limits of the joints, rad.
