@@ -16,6 +16,13 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import count, describe_move
 from gridpush_drake.units import MM_PER_M
 
+TIME_TOLERANCE = 1e-6
+"""Time before a push's beginning or after its end that is counted as the beginning or the end, s.
+
+Times that are calculated from time stamps differ by their round-off, 2e-7 s where seconds are
+counted from 1970. What was seen further away is refused.
+"""
+
 
 @dataclass(frozen=True, eq=False)
 class ObservedPush(Frozen):
@@ -57,11 +64,10 @@ class ObservedPush(Frozen):
             raise PushLogError(
                 f"push {self.name!r}: its name must not be empty nor have blanks at its ends"
             )
-        t_observed = self._array("t_observed", self.t_observed, (-1,))
+        t_observed = self._times("t_observed", self.t_observed)
         several = np.shape(self.pose)[:-1]
         self._array("pose", self.pose, (*several, 3) if len(several) == 1 else (3,))
         self._array("poses_observed", self.poses_observed, (len(t_observed), *np.shape(self.pose)))
-        self._check_times("t_observed", t_observed)
         if len(t_observed) and t_observed[0] <= 0:
             raise PushLogError(
                 f"push {self.name!r}: t_observed[0] is {t_observed[0]} s; expected times > 0"
@@ -71,9 +77,8 @@ class ObservedPush(Frozen):
                 f"push {self.name!r}: force_t and force come together, or not at all"
             )
         if self.force_t is not None and self.force is not None:
-            force_t = self._array("force_t", self.force_t, (-1,))
+            force_t = self._times("force_t", self.force_t)
             self._array("force", self.force, (len(force_t), 2))
-            self._check_times("force_t", force_t)
         if self.lift_force is not None:
             if self.force_t is None:
                 raise PushLogError(f"push {self.name!r}: lift_force does not come without force_t")
@@ -118,15 +123,22 @@ class ObservedPush(Frozen):
         object.__setattr__(self, name, array)
         return array
 
-    def _check_times(self, name: str, t: Array) -> None:
-        """Refuses times, s, that do not increase or are not within the push."""
+    def _times(self, name: str, value: ArrayLike) -> Array:
+        """Makes a field read-only times (-1,), s, that increase and are within the push."""
+        t = self._array(name, value, (-1,))
+        end = self.push.duration
+        near_end = (t > end) & (t <= end + TIME_TOLERANCE)
+        near_beginning = (t < 0) & (t >= -TIME_TOLERANCE)
+        if near_end.any() or near_beginning.any():
+            t = self._array(name, np.where(near_end, end, np.where(near_beginning, 0.0, t)), (-1,))
         if np.any(np.diff(t) <= 0):
             raise PushLogError(f"push {self.name!r}: {name} must be strictly increasing")
-        if len(t) and (t[0] < 0 or t[-1] > self.push.duration):
+        if len(t) and (t[0] < 0 or t[-1] > end):
             raise PushLogError(
                 f"push {self.name!r}: {name} runs from {t[0]} to {t[-1]} s; expected times within "
-                f"the push, 0 to {self.push.duration} s"
+                f"the push, 0 to {end} s"
             )
+        return t
 
     @property
     def final_pose(self) -> Array:

@@ -85,6 +85,15 @@ def test_what_cannot_have_been_observed_is_refused(changes, message):
         observed(**changes)
 
 
+def test_times_that_miss_the_push_by_their_round_off_are_its_ends():
+    end = observed().push.duration
+    seen = observed(
+        t_observed=[2.0, np.nextafter(end, 9)], force_t=[-1e-7, 1.0], force=[[0.0, 1.0]] * 2
+    )
+    assert seen.t_observed.tolist() == [2.0, end]
+    assert seen.force_t.tolist() == [0.0, 1.0]
+
+
 def test_length_iteration_and_indexing():
     log = PushLog([observed(name) for name in "abcd"], "here")
     assert len(log) == 4
