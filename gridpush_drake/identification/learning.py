@@ -5,6 +5,7 @@ It screens what it is given (`screening`), has a method fit it (`methods`), judg
 """
 
 import warnings
+from collections.abc import Collection
 from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
@@ -47,6 +48,7 @@ def identify(
     start: Identification | JointIdentification | None = None,
     friction: HeldFriction | None = None,
     weighings: MassTestLog | None = None,
+    keep: Collection[str] = (),
 ) -> Identification | JointIdentification:
     """Learns masses and frictions of an object, or of several, from pushes.
 
@@ -79,6 +81,8 @@ def identify(
             loads shift about the center of mass.
         weighings: tilt tests and lifts of the object, which make mass, friction and center of mass
             absolute.
+        keep: names of pushes that are learned from however little they agree with the others.
+            Poses that no motion of the pusher explains are left out of them, too.
 
     Returns:
         The model, its spread, and what the log cannot tell; a `JointIdentification` of several
@@ -95,7 +99,8 @@ def identify(
             not have; the seed is no whole number or negative; the log is empty or lacks
             observations; or no loads of the cells explain it with what is told of the object; or
             the frictions are not one positive number for each cell, or cannot be held by the
-            method; or the equations of the weighings cannot be solved.
+            method; or the equations of the weighings cannot be solved; or the log has no push of a
+            name in `keep`.
         SimulationError: the regime is unknown, or the friction law does not know it.
         PushLogError: the object hung over the table's edge during every push, or the log or the
             weighings cannot be true of the object, see `pushes.plausibility`; or the log's file
@@ -113,6 +118,7 @@ def identify(
         start=start,
         friction=friction,
         weighings=weighings,
+        keep=keep,
     )
     found = fit(task)
     if isinstance(found.model, JointIdentification):

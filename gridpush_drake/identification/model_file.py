@@ -31,7 +31,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
 from gridpush_drake.identification.statistics.friction_gradient import calc_gradient_std
 from gridpush_drake.identification.statistics.noise import NoiseModel
-from gridpush_drake.identification.statistics.outliers import Outlier
+from gridpush_drake.identification.statistics.outliers import Disagreement, Outlier
 from gridpush_drake.identification.statistics.posterior import GLOBAL_NAMES, Posterior
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import RENAMED_KEYS as OBJECT_RENAMED
@@ -73,6 +73,14 @@ class IdentifiabilitySchema(StrictSchema):
     learned_directions: Annotated[int, Field(ge=0)]
 
 
+class DisagreementSchema(StrictSchema):
+    """How far off a refused push is; see `Disagreement`."""
+
+    distance: NotNegative
+    deviations: NotNegative
+    allowed: NotNegative
+
+
 class OutlierSchema(StrictSchema):
     """What was refused of a push; see `Outlier`."""
 
@@ -80,6 +88,7 @@ class OutlierSchema(StrictSchema):
     poses: list[Annotated[int, Field(ge=0)]]
     observed: Annotated[int, Field(ge=1)]
     whole: bool
+    disagreement: DisagreementSchema | None = None
 
 
 class ForceSchema(StrictSchema):
@@ -395,9 +404,7 @@ def _describe(result: Identification) -> ModelSchema:
         training_pushes=list(result.push_names),
         unused_pushes=list(result.unused_pushes),
         outliers=[
-            OutlierSchema(
-                push=out.push, poses=list(out.poses), observed=out.observed, whole=out.whole
-            )
+            OutlierSchema.model_validate(asdict(out) | {"poses": list(out.poses)})
             for out in result.outliers
         ],
         object=LearnedObjectSchema.model_validate(
@@ -548,7 +555,15 @@ def _restore(schema: ModelSchema) -> Identification:
         unpack_symmetric("posterior.prior_covariance", entries.prior_covariance, size),
     )
     outliers = [
-        Outlier(push=out.push, poses=tuple(out.poses), observed=out.observed, whole=out.whole)
+        Outlier(
+            push=out.push,
+            poses=tuple(out.poses),
+            observed=out.observed,
+            whole=out.whole,
+            disagreement=None
+            if out.disagreement is None
+            else Disagreement(**out.disagreement.model_dump()),
+        )
         for out in schema.outliers
     ]
     # What the file says for people only is worked out again.

@@ -6,6 +6,7 @@ simulations is chosen. What disagrees with the rest only by a fit is refused in 
 (`fit.robust_fit`).
 """
 
+from collections.abc import Collection
 from numbers import Integral
 
 import numpy as np
@@ -26,6 +27,9 @@ from gridpush_drake.pushes.plausibility import check_plausible, check_plausible_
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import MassTestLog
 
+SHOWN_NAMES = 5
+"""Number of a log's pushes that a message names."""
+
 
 def screen(
     model: Model,
@@ -39,6 +43,7 @@ def screen(
     start: Identification | JointIdentification | None,
     friction: HeldFriction | None,
     weighings: MassTestLog | None,
+    keep: Collection[str],
 ) -> LearningTask:
     """Checks what `identify` is asked, and screens the log; the arguments are those of `identify`.
 
@@ -47,6 +52,7 @@ def screen(
     """
     check_types("identify", model=(model, (Model,)), log=(log, LOG_TYPES))
     log = read_log(log, model.objects, require_final=True)
+    _check_kept(keep, log)
     chosen = find_method(method, several=len(model) > 1)
     asked = model.physics.with_regime(regime)
     if not (isinstance(seed, Integral) and seed >= 0):
@@ -67,7 +73,8 @@ def screen(
         _refuse_unable(chosen, model.with_physics(asked), start, friction)
         # Weighings first: to learn from the pushes takes a while.
         check_plausible_mass_tests(model.obj, weighings or MassTestLog())
-        screened = _check_log(model.obj, log if chosen.abilities.takes_overhang else log.on_table)
+        usable = log if chosen.abilities.takes_overhang else log.on_table
+        screened = _check_log(model.obj, usable, keep)
         physics = resolve_physics(asked, model.obj, screened.log)
     return LearningTask(
         method=chosen,
@@ -115,7 +122,20 @@ def _refuse_unable(
         )
 
 
-def _check_log(obj: GridObject, log: PushLog) -> ScreenedLog:
+def _check_kept(keep: Collection[str], log: PushLog) -> None:
+    """Raises IdentificationError: a push that is to be kept is not in the log."""
+    if isinstance(keep, str):
+        raise IdentificationError(f"keep is {keep!r}; expected names of pushes, as [{keep!r}]")
+    names = [seen.name for seen in log]
+    for name in keep:
+        if name not in names:
+            raise IdentificationError(
+                f"keep: {log.source or 'the push log'} has no push {name!r}; expected names of "
+                f"pushes, such as {', '.join(map(repr, names[:SHOWN_NAMES]))}"
+            )
+
+
+def _check_log(obj: GridObject, log: PushLog, keep: Collection[str]) -> ScreenedLog:
     """Refuses a log that nothing can be learned from, and the poses that jump.
 
     A log without a pusher radius takes that of the object's prior.
@@ -132,7 +152,7 @@ def _check_log(obj: GridObject, log: PushLog) -> ScreenedLog:
             )
     if not log.radius_given and obj.prior.pusher_radius is not None:
         log = log.with_radius(obj.prior.pusher_radius)
-    screened = ScreenedLog.of_jumps(obj, log)
+    screened = ScreenedLog.of_jumps(obj, log, keep)
     check_plausible(obj, screened.log, learning=True)
     return screened
 

@@ -4,12 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
+from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import read_model, write_model
-from gridpush_drake.identification.statistics.outliers import find_jumps, remove_outliers
+from gridpush_drake.identification.statistics.outliers import (
+    OUTLIER_GROWTH,
+    OUTLIER_PRIOR_RATIO,
+    Disagreement,
+    LeftOut,
+    calc_outlier_evidence,
+    find_jumps,
+    remove_outliers,
+)
 from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
@@ -125,8 +135,41 @@ def test_a_push_of_another_object_costs_little_and_is_named(clean: float) -> Non
             (log[which].name, True)
         ]
         assert log[which].name not in found.push_names
+        far = found.outliers[0].disagreement
+        assert far.distance > far.allowed > 0.001 and far.deviations > 2
         errors.append(error)
     assert np.mean(errors) <= WORST * clean
+
+
+def test_a_push_that_is_kept_is_learned_from_though_the_others_disagree() -> None:
+    obj, _, log = make_case(*CASES[1])
+    which = FOREIGN[1]
+    foreign = make_case(*CASES[1], reverse=True)[2][which]
+    mixed = replace(log, pushes=(*log[:which], foreign, *log[which + 1 :]))
+    kept = identify(Model(obj), mixed, keep=[foreign.name])
+    assert kept.outliers == () and foreign.name in kept.push_names
+    with pytest.raises(IdentificationError, match=r"keep: .* has no push 'z'; expected names"):
+        identify(Model(obj), log, keep=["z"])
+    with pytest.raises(IdentificationError, match=r"keep is 'z'; expected names of pushes"):
+        identify(Model(obj), log, keep="z")
+
+
+def test_what_would_have_been_believed_is_where_the_odds_are_even() -> None:
+    rng = np.random.default_rng(3)
+    A, way = rng.normal(size=(6, 6)), np.array([0.02, 0.04])
+    Q = 1e6 * (A @ A.T + np.eye(6))
+    e = rng.normal(size=6) * 0.01
+    seen = LeftOut(Q, Q @ e)
+    far = calc_outlier_evidence(seen, way).explain(seen)
+    assert far.distance == pytest.approx(np.linalg.norm(e[-3:]))
+    # at once, by the two densities of the residuals themselves
+    D = np.kron(OUTLIER_GROWTH * way[:, None], np.eye(3))
+    s = far.allowed / far.distance
+    foreign, own = (
+        multivariate_normal(np.zeros(6), covariance).logpdf(s * e)
+        for covariance in (np.linalg.inv(Q) + D @ D.T, np.linalg.inv(Q))
+    )
+    assert foreign - own + np.log(OUTLIER_PRIOR_RATIO) == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(("name", "seed"), [("square", 0), ("square", 4), ("l_bracket", 4)])
@@ -155,7 +198,9 @@ def test_nothing_is_refused_of_a_clean_log() -> None:
         assert identify(Model(obj), log).outliers == ()
 
 
-def test_a_small_slip_within_reach_of_the_push_is_found_by_the_fit() -> None:
+def test_a_small_slip_within_reach_of_the_push_is_found_by_the_fit_unless_the_push_is_kept() -> (
+    None
+):
     obj, _, log = make_case()
     poses = log[2].poses_observed.copy()
     poses[3] += [0.006, -0.006, 0.0]
@@ -167,6 +212,7 @@ def test_a_small_slip_within_reach_of_the_push_is_found_by_the_fit() -> None:
     assert [
         (outlier.push, outlier.poses) for outlier in identify(Model(obj), slipped).outliers
     ] == [(log[2].name, (4,))]
+    assert identify(Model(obj), slipped, keep=[log[2].name]).outliers == ()
 
 
 def test_a_push_whose_first_pose_is_wrong_begins_at_the_next() -> None:
@@ -207,5 +253,12 @@ def test_what_was_refused_is_in_words_in_the_file_and_in_the_report(tmp_path) ->
             f"push {outlier.push}: 1 of 6 poses jump or disagree with the rest (number {pose + 1}), refused"
         )
         assert outlier.describe() in page
-    whole = replace(found.outliers[0], poses=(), whole=True)
-    assert "refused, as no motion of this object" in whole.describe() and whole.fraction == 1.0
+    far = Disagreement(distance=0.0062, deviations=4.1, allowed=0.0048)
+    whole = replace(found.outliers[0], poses=(), whole=True, disagreement=far)
+    assert whole.fraction == 1.0 and whole.describe() == (
+        f"push {whole.push}: refused, as no motion of this object that the other pushes allow: it "
+        "ends 6.2 mm (4.1 standard deviations) from where they put it, and 4.8 mm would have been "
+        f"believed; --keep {whole.push} (keep= in Python) learns from it all the same"
+    )
+    write_model(tmp_path / "whole.yaml", replace(found, outliers=(whole,)))
+    assert read_model(tmp_path / "whole.yaml").outliers == (whole,)

@@ -86,6 +86,15 @@ def identify(
             "stand before OBJECT.yaml in the same way.",
         ),
     ] = None,
+    keep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PUSH",
+            help="Name of a push that is learned from however little it agrees with the others; "
+            "may be repeated. Without it, a push that seems to be of another object is refused, "
+            "and the output says by how much.",
+        ),
+    ] = None,
     method: Annotated[
         Method,
         typer.Option(
@@ -128,6 +137,7 @@ def identify(
             "--weighings": weighings is not None,
             "--method": not any(one.abilities.takes_several for one in LEARNING_METHODS[method]),
             "--regime": regime == "inertial",
+            "--keep": bool(keep),
         }
         for option, given in alone.items():
             if given:
@@ -153,6 +163,7 @@ def identify(
             budget=budget,
             progress=progress,
             weighings=weighed,
+            keep=keep or (),
         )
     if not result.push_names:
         raise PushLogError(explain_no_contact(obj, log))
@@ -199,6 +210,7 @@ def describe_result(result: Identification, log: PushLog) -> dict[str, Any]:
                 "observed": out.observed,
                 "share": out.fraction,
                 "whole": out.whole,
+                "disagreement": out.disagreement and asdict(out.disagreement),
             }
             for out in result.outliers
         ],

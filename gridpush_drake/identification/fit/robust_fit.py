@@ -22,6 +22,7 @@ from gridpush_drake.identification.result import FitStart, HistoryEntry
 from gridpush_drake.identification.statistics.noise import NoiseScale
 from gridpush_drake.identification.statistics.outliers import (
     SUSPECT_EVIDENCE,
+    Disagreement,
     LeftOut,
     ScreenedLog,
     calc_outlier_evidence,
@@ -182,31 +183,30 @@ def find_majority(
     rng = np.random.default_rng(seed)
     travels = _calc_travels(screened)
     best_score = -np.inf
-    outliers: list[int] = []
+    outliers: dict[int, Disagreement] = {}
     for _ in range(MAJORITY_TRIALS):
         few = np.sort(rng.choice(len(problem), MAJORITY_PUSHES, replace=False))
         fit = fitter.fit_few(problem.choose(few.tolist()))
         if is_poor(fit):
             continue
         others = np.setdiff1d(np.arange(len(problem)), few).tolist()
-        judged = fit.judge(problem, others)
-        evidence = [
-            calc_outlier_evidence(one, travels[i]) for one, i in zip(judged, others, strict=True)
-        ]
+        judged = dict(zip(others, fit.judge(problem, others), strict=True))
+        evidence = {i: calc_outlier_evidence(one, travels[i]) for i, one in judged.items()}
         # log of (density as this object's + density as another's), push by push
         scores = [
-            one.log_density + np.logaddexp(0.0, value)
-            for one, value in zip(judged, evidence, strict=True)
+            one.log_density + np.logaddexp(0.0, evidence[i].log_odds) for i, one in judged.items()
         ]
         score = float(np.mean(scores))
         if score > best_score:
             best_score = score
-            outliers = [i for i, value in zip(others, evidence, strict=True) if value > 0]
-    if len(outliers) > screened.may_refuse:
+            outliers = {
+                i: one.explain(judged[i])
+                for i, one in evidence.items()
+                if one.log_odds > 0 and screened.log[i].name not in screened.trusted
+            }
+    if not outliers or len(outliers) > screened.may_refuse:
         return screened
-    for i in reversed(outliers):
-        screened = screened.refuse_push(i)
-    return screened
+    return screened.refuse_pushes(outliers)
 
 
 def refuse_worst_push(
@@ -224,13 +224,20 @@ def refuse_worst_push(
         The log without that push; `screened` itself where none is refused.
     """
     travels = _calc_travels(screened)
-    evidence = [
-        calc_outlier_evidence(seen, travel) for seen, travel in zip(left_out, travels, strict=True)
+    odds = [
+        calc_outlier_evidence(seen, travel).log_odds
+        for seen, travel in zip(left_out, travels, strict=True)
     ]
-    suspects = [int(i) for i in np.argsort(evidence)[::-1] if evidence[i] > SUSPECT_EVIDENCE]
+    suspects = [
+        int(i)
+        for i in np.argsort(odds)[::-1]
+        if odds[i] > SUSPECT_EVIDENCE and screened.log[i].name not in screened.trusted
+    ]
     for i in suspects[: min(screened.may_refuse, MAX_TRIALS)]:
-        if calc_outlier_evidence(fit_without(fit, i), travels[i]) > 0:
-            return screened.refuse_push(i)
+        seen = fit_without(fit, i)
+        evidence = calc_outlier_evidence(seen, travels[i])
+        if evidence.log_odds > 0:
+            return screened.refuse_pushes({i: evidence.explain(seen)})
     return screened
 
 

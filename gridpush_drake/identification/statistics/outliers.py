@@ -7,7 +7,7 @@ poses predict, and each push with what the other pushes predict. `robust_fit` de
 refused in the end, and makes the fits in between.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 from gridpush_drake.pushes.plausibility import SPEED_FACTOR, TRAVEL_FACTOR
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.units import MM_PER_M
 
 Mask = NDArray[np.bool_]
 
@@ -55,6 +56,21 @@ travel."""
 
 
 @dataclass(frozen=True)
+class Disagreement:
+    """How far a push that was refused ends from where the other pushes put its end.
+
+    Attributes:
+        distance: root mean square over the object's cells, m.
+        deviations: the same in standard deviations of the prediction.
+        allowed: largest distance of a push of this kind that would have been believed, m.
+    """
+
+    distance: float
+    deviations: float
+    allowed: float
+
+
+@dataclass(frozen=True)
 class Outlier:
     """A push of which poses, or all, were refused.
 
@@ -64,12 +80,15 @@ class Outlier:
         observed: how many poses the push has, the first included.
         whole: whether the whole push is refused, because it belongs to another object or too few
             poses were left.
+        disagreement: how far a push that belongs to another object is off; None where that is not
+            why it was refused, or in model files in which it was not written yet.
     """
 
     push: str
     poses: tuple[int, ...]
     observed: int
     whole: bool
+    disagreement: Disagreement | None = None
 
     @property
     def fraction(self) -> float:
@@ -78,15 +97,27 @@ class Outlier:
 
     def describe(self) -> str:
         """Says in a sentence what was refused."""
+        off = self._describe_distance()
         if self.whole and not self.poses:
             return (
                 f"push {self.push}: refused, "
-                "as no motion of this object that the other pushes allow"
+                f"as no motion of this object that the other pushes allow{off}"
             )
         where = f"{len(self.poses)} of {self.observed} poses jump or disagree with the rest"
         numbers = ", ".join(str(i + 1) for i in self.poses)
         what = "all of it refused" if self.whole else "refused"
-        return f"push {self.push}: {where} (number {numbers}), {what}"
+        return f"push {self.push}: {where} (number {numbers}), {what}{off}"
+
+    def _describe_distance(self) -> str:
+        """Says how far off the push is, and how it is learned from all the same."""
+        if self.disagreement is None:
+            return ""
+        far = self.disagreement
+        return (
+            f": it ends {far.distance * MM_PER_M:.1f} mm ({far.deviations:.1f} standard "
+            f"deviations) from where they put it, and {far.allowed * MM_PER_M:.1f} mm would have "
+            f"been believed; --keep {self.push} (keep= in Python) learns from it all the same"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,22 +149,33 @@ class ScreenedLog:
         kept: numbers of the poses that are kept, by the push's name; 0 is the first pose. If a push
             is not listed, all its poses are kept.
         observed: how many poses each push had, the first included, by the push's name.
-        refused: names of the pushes refused as a whole.
+        refused: how far off the pushes are that are refused as a whole, by name.
+        trusted: names of the pushes of which nothing is refused because the others disagree.
     """
 
     log: PushLog
     kept: Mapping[str, IntArray] = field(default_factory=dict)
     observed: Mapping[str, int] = field(default_factory=dict)
-    refused: frozenset[str] = frozenset()
+    refused: Mapping[str, Disagreement] = field(default_factory=dict)
+    trusted: frozenset[str] = frozenset()
 
     @classmethod
-    def of_jumps(cls, obj: GridObject, log: PushLog) -> "ScreenedLog":
-        """Refuses the poses that `find_jumps` finds, if two or more of the push are left."""
+    def of_jumps(
+        cls, obj: GridObject, log: PushLog, trusted: Collection[str] = ()
+    ) -> "ScreenedLog":
+        """Refuses the poses that `find_jumps` finds, if two or more of the push are left.
+
+        Args:
+            obj: the object.
+            log: the pushes.
+            trusted: names of the pushes of which nothing else will be refused.
+        """
         masks = [mask if mask.sum() > 1 else np.ones_like(mask) for mask in find_jumps(obj, log)]
         return cls(
             log=select_poses(log, masks),
             kept={seen.name: np.flatnonzero(mask) for seen, mask in zip(log, masks, strict=True)},
             observed={seen.name: len(seen.t_observed) + 1 for seen in log},
+            trusted=frozenset(trusted),
         )
 
     def keep(self, log: PushLog) -> "ScreenedLog":
@@ -151,12 +193,12 @@ class ScreenedLog:
             The log without these poses; this object itself if all poses agree.
         """
         masks = []
-        for one in left_out:
+        for seen, one in zip(self.log, left_out, strict=True):
             # The first pose is where the simulation begins: it cannot disagree.
             mask = np.append(True, _judge_poses(one, size))
             # If most poses disagree, the push as a whole is in doubt, which is not decided here.
             few = mask[1:].mean() > MAX_REFUSED_POSES
-            masks.append(mask if few else np.ones_like(mask))
+            masks.append(mask if few and seen.name not in self.trusted else np.ones_like(mask))
         if all(mask.all() for mask in masks):
             return self
 
@@ -166,10 +208,15 @@ class ScreenedLog:
             kept[seen.name] = kept[seen.name][mask]
         return replace(self, log=select_poses(self.log, masks), kept=kept)
 
-    def refuse_push(self, index: int) -> "ScreenedLog":
-        """Refuses a push of the log as a whole."""
-        rest = self.log.subset([i for i in range(len(self.log)) if i != index])
-        return replace(self, log=rest, refused=self.refused | {self.log[index].name})
+    def refuse_pushes(self, disagreements: Mapping[int, Disagreement]) -> "ScreenedLog":
+        """Refuses pushes of the log as a whole.
+
+        Args:
+            disagreements: how far off they are, by their place in the log.
+        """
+        rest = self.log.subset([i for i in range(len(self.log)) if i not in disagreements])
+        names = {self.log[i].name: one for i, one in disagreements.items()}
+        return replace(self, log=rest, refused={**self.refused, **names})
 
     @property
     def may_refuse(self) -> int:
@@ -189,6 +236,7 @@ class ScreenedLog:
                         poses=poses,
                         observed=self.observed[name],
                         whole=name in self.refused,
+                        disagreement=self.refused.get(name),
                     )
                 )
         return tuple(found)
@@ -371,7 +419,42 @@ def _calc_pose_evidence(Q: Array, g: Array, size: float) -> float:
     return float(anywhere - here + np.log(OUTLIER_PRIOR_RATIO))
 
 
-def calc_outlier_evidence(seen: LeftOut, way: Array) -> float:
+@dataclass(frozen=True)
+class OutlierEvidence:
+    """Log odds that a push is another object's, of residuals of any size: a s² - b of s e.
+
+    Attributes:
+        slope: a, how much the residuals e of the push speak for it.
+        offset: b, how much speaks against it before any residual is seen.
+    """
+
+    slope: float
+    offset: float
+
+    @property
+    def log_odds(self) -> float:
+        """The log odds of the residuals as they are."""
+        return self.slope - self.offset
+
+    def explain(self, seen: LeftOut) -> Disagreement:
+        """Says how far off the push is.
+
+        Args:
+            seen: what the other pushes say of it.
+        """
+        covariance = np.linalg.inv(seen.precision)
+        end = (covariance @ seen.pull)[-3:]
+        # the size s of the residuals at which the odds are even
+        believed = float(np.sqrt(max(self.offset, 0.0) / self.slope))
+        distance = float(np.linalg.norm(end))
+        return Disagreement(
+            distance=distance,
+            deviations=float(np.sqrt(end @ np.linalg.solve(covariance[-3:, -3:], end) / len(end))),
+            allowed=believed * distance,
+        )
+
+
+def calc_outlier_evidence(seen: LeftOut, way: Array) -> OutlierEvidence:
     """Calculates the log odds that a push is another object's.
 
     The residuals of another object's push grow with the way of the pusher, all in the same
@@ -382,9 +465,11 @@ def calc_outlier_evidence(seen: LeftOut, way: Array) -> float:
         way: (K,) m, how far the pusher has gone at each later pose.
     """
     # One vector d ~ N(0, I) of three numbers for the whole push, which adds D d to its residuals.
-    # Integrated over d, the evidence grows by `gain`.
+    # Integrated over d, the evidence grows by a - log det(inner) / 2.
     D = np.kron(OUTLIER_GROWTH * way[:, None], np.eye(3))
     inner = np.eye(3) + D.T @ seen.precision @ D
     pull = D.T @ seen.pull
-    gain = 0.5 * float(pull @ np.linalg.solve(inner, pull)) - 0.5 * np.linalg.slogdet(inner)[1]
-    return float(gain + np.log(OUTLIER_PRIOR_RATIO))
+    return OutlierEvidence(
+        slope=0.5 * float(pull @ np.linalg.solve(inner, pull)),
+        offset=float(0.5 * np.linalg.slogdet(inner)[1] - np.log(OUTLIER_PRIOR_RATIO)),
+    )
