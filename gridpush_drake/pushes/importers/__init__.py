@@ -14,6 +14,7 @@ from gridpush_drake.pushes.push_log import PushLog
 
 IMPORTER_CLASSES = {
     "bag": "bag.BagImporter",
+    "closed-loop": "closed_loop.ClosedLoopImporter",
     "cmu": "cmu.CmuImporter",
     "mit": "mit.MitImporter",
     "mit-tracked": "mit_tracked.MitTrackedImporter",
