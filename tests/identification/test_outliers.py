@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.identification.learning import identify
@@ -21,7 +22,10 @@ from gridpush_drake.identification.statistics.outliers import (
     remove_outliers,
 )
 from gridpush_drake.identification.statistics.problem import PushProblem
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import make_report
 from tests.helpers.shapes import make_shape
@@ -262,3 +266,28 @@ def test_what_was_refused_is_in_words_in_the_file_and_in_the_report(tmp_path) ->
     )
     write_model(tmp_path / "whole.yaml", replace(found, outliers=(whole,)))
     assert read_model(tmp_path / "whole.yaml").outliers == (whole,)
+
+
+def test_pushes_that_slip_along_one_side_tell_the_friction_and_are_not_refused() -> None:
+    # All begin on one side, where most contacts stick: there the loss is flat in the friction.
+    side = 0.045 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    prior = PhysicalPrior(pusher_radius=0.005)
+    obj = GridObject.from_outline(side, max_cells=36, name="square", prior=prior)
+    heavy = obj.p_BC @ [1.0, 0.5] > 0.015
+    params = CellParameters(
+        np.where(heavy, 0.2, 0.02), np.full(obj.n, 0.35), 0.25, patch_ratio=obj.n**-0.5
+    )
+    rng = np.random.default_rng(1)
+    t = np.linspace(0.0, 1.0, 6)
+    pushes = []
+    for k in range(6):
+        direction = rng.uniform(-0.4, 0.4)
+        start = np.array([-0.05, rng.uniform(-0.03, 0.03)])
+        path = start + 0.04 * t[:, None] * [np.cos(direction), np.sin(direction)]
+        push = Push.along(t, path, 0.005)
+        poses = Model(obj, params).simulate(push, dt=0.01).poses[20::20]
+        noise = rng.normal(size=poses.shape) * [3e-4, 3e-4, 3e-3]
+        pushes.append(ObservedPush(f"push_{k}", push, np.zeros(3), t[1:], poses + noise))
+    found = identify(Model(obj), PushLog(tuple(pushes)))
+    assert found.outliers == ()
+    assert found.params.contact_friction == pytest.approx(0.25, abs=0.05)

@@ -45,7 +45,7 @@ from gridpush_drake.identification.fit.load_prior import (
     LinearizedPushes,
     LoadPrior,
 )
-from gridpush_drake.identification.fit.map_fit import MapFit, fit_map
+from gridpush_drake.identification.fit.map_fit import MapFit, fit_map, scan_contact_friction
 from gridpush_drake.identification.fit.robust_fit import Fitter, Tracker, fit_robustly
 from gridpush_drake.identification.result import FitStart, IdentificationStatus
 from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
@@ -208,6 +208,7 @@ class MapEnsemble:
         setting = HypothesisInputs(problem.obj, z0, log_contact_friction_std)
         fit_one = partial(fit_map, noise=self.noise, center_of_mass=center_of_mass, on_step=on_step)
         candidates = self._fit_unconditional(problem, setting, fit_one, starts)
+        _begin_with_friction(candidates, fit_one)
         _begin_with_tilts(candidates, self.noise, fit_one)
         _follow_best(candidates, fit_one)
         # The pushes, made linear about the best fit so far, choose the priors of the others.
@@ -364,6 +365,24 @@ def _calc_distance_to_middle(one: LoadHypothesis) -> float:
     """Distance of a smooth field's log amplitude from that with which tilted loads are fitted."""
     assert one.field_amplitude is not None
     return float(np.abs(np.log(one.field_amplitude / TILTED_AMPLITUDE)))
+
+
+def _begin_with_friction(candidates: list[Candidate], fit_one: Callable[..., MapFit]) -> None:
+    """Fits anew with another contact friction, where that explains the pushes better."""
+    better = scan_contact_friction(candidates[_find_best(candidates)].fit)
+    if better is None:
+        return
+    for i, one in enumerate(candidates):
+        start = FitStart(np.append(one.fit.z[:-1], better.z[-1]), one.fit.scale)
+        again = fit_one(
+            one.problem,
+            one.prior.mean,
+            one.prior.factor,
+            start=start,
+            max_evaluations=FIRST_EVALUATIONS,
+        )
+        if again.log_evidence > one.log_evidence:
+            candidates[i] = replace(one, fit=again)
 
 
 def _begin_with_tilts(

@@ -21,6 +21,7 @@ from gridpush_drake.identification.fit.linearized_fit import (
     LinearizedFit,
     MapProblem,
     calc_shortening,
+    solve_factor,
 )
 from gridpush_drake.identification.result import FitStart
 from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
@@ -49,6 +50,13 @@ SCALE_TOLERANCE = 0.03
 DAMPING_FACTOR = 8.0
 """Factor by which damping grows when a step makes the loss larger, and falls when a step is taken.
 It begins at the loss's curvature along the step, which about halves the next one."""
+
+SCANNED_FRICTIONS = (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)
+"""Contact frictions that are tried where a fit has ended, as distances of log mu_c from its prior
+mean in prior standard deviations."""
+
+FRICTION_GAIN = 1.0
+"""Least decrease of the loss by which another contact friction is taken for better, nats."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,6 +264,29 @@ def fit_without(fit: LinearizedFit, index: int) -> LeftOut:
         linear=fit.linear.choose(chosen),
     )
     return others.judge(asked.problem, [index])[0]
+
+
+def scan_contact_friction(fit: MapFit) -> FitStart | None:
+    """Looks for a contact friction that explains the pushes better with the loads of a fit.
+
+    Where all contacts stick, the motion is the same with any larger friction: the loss is flat in
+    log mu_c but for its prior, and no descent finds the friction at which some contacts slip.
+
+    Returns:
+        The fit's z with the best of `SCANNED_FRICTIONS`; None where none is better than its own.
+    """
+    system = fit.linearized
+    if not system.A[-1, -1] > 0:
+        return None
+    mean = system.z0[-1]
+    places = [np.append(fit.z[:-1], mean + s * system.A[-1, -1]) for s in SCANNED_FRICTIONS]
+    losses = [
+        system.calc_loss(solve_factor(system.A, z - system.z0), system.problem.residuals(z))
+        for z in places
+    ]
+    best = int(np.argmin(losses))
+    now = system.calc_loss(system.u, system.linear.residuals)
+    return FitStart(places[best], fit.scale) if losses[best] < now - FRICTION_GAIN else None
 
 
 def calc_laplace(
