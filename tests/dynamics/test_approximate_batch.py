@@ -180,17 +180,17 @@ def test_loads_that_shift_and_the_inertial_regime_are_approximated_too(regime: s
     assert abs(end[2] - exact[2]) < ANGLE_BOUND
 
 
-@pytest.mark.parametrize("cells", [None, 2000])
+@pytest.mark.parametrize("cells", [None, 1500])
 def test_shipped_objects_end_where_they_do_exactly(cells: int | None) -> None:
-    check_shipped_objects(cells, count=3)
+    check_shipped_objects(cells, count=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cells", [None, 5000])
-def test_two_thousand_pushes_of_shipped_objects_end_where_they_do_exactly(
+def test_hundreds_of_pushes_of_shipped_objects_end_where_they_do_exactly(
     cells: int | None,
 ) -> None:
-    check_shipped_objects(cells, count=223)
+    check_shipped_objects(cells, count=60)
 
 
 def check_shipped_objects(cells: int | None, count: int) -> None:
