@@ -592,7 +592,7 @@ def test_a_changed_object_at_the_edge_is_brought_back_and_learned_anew(hammer) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*range(6), 24])
+@pytest.mark.parametrize("seed", [0, 1, 2, 24])
 def test_no_object_falls_whose_load_is_turned_when_it_comes_to_the_edge(seed) -> None:
     obj = GridObject.from_yaml(find_shipped_object("toolbox")).forget()
     prior = replace(obj.prior, friction=0.35, friction_min=0.3, friction_max=0.4)
