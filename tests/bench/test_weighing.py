@@ -204,6 +204,7 @@ def test_scores_are_kept_as_json():
         assert back.mass == truth.total_mass
 
 
+@pytest.mark.slow
 def test_the_bench_presses_where_the_robot_s_planner_says(monkeypatch):
     """One planner decides for both: what it yields is pressed, and nothing else. In MuJoCo."""
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")

@@ -129,7 +129,7 @@ def test_a_push_of_another_object_costs_little_and_is_named(clean: float) -> Non
     assert np.mean(errors) <= WORST * clean
 
 
-@pytest.mark.parametrize(("name", "seed"), [("square", 0), ("square", 4), ("l_bracket", 4)])
+@pytest.mark.parametrize(("name", "seed"), [("square", 4), ("l_bracket", 4)])
 def test_two_of_ten_pushes_of_another_object_are_named_though_loads_that_shift_could_explain_them(
     name: str, seed: int
 ) -> None:

@@ -312,10 +312,11 @@ def test_the_link_waits_for_as_long_as_the_arm_goes_back(monkeypatch):
     ("fail", "says", "by"),
     [
         (fail_in_loop, "The controller failed: BrokenPencilError: the pencil broke.", "guard"),
-        (
+        pytest.param(
             fail_in_station,
             "The controller failed: SystemExit: Failure at some.cc:1",
             "without the guard",
+            marks=pytest.mark.slow,
         ),
     ],
 )

@@ -95,6 +95,7 @@ def test_a_second_arm_begins_at_home_and_reaches_the_object(second_arm):
     assert station.FindObstacle(PushCommand(1, 0.65, -0.09, np.pi / 2, 0.13, 0.1)) is None
 
 
+@pytest.mark.slow
 def test_the_second_arm_pushes_and_speaks_with_its_twin(second_arm):
     scenario = read_scenario(second_arm)
     scenario.base, scenario.object = "planar", "open_book"
@@ -110,7 +111,14 @@ def test_the_second_arm_pushes_and_speaks_with_its_twin(second_arm):
     assert np.hypot(*moved[:2]) > 0.01
 
 
-@pytest.mark.parametrize("name", ["panda", "gantry", "ur5e", "xarm6"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "panda",
+        "gantry",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("ur5e", "xarm6")),
+    ],
+)
 def test_a_robot_that_comes_with_the_package_pushes_within_its_limits(name):
     station = MakePushStation(PushScenario(directives=make_robot_directives(name, grasping=False)))
     simulator = Simulator(station)

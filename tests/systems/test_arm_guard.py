@@ -647,7 +647,7 @@ def test_told_of_a_silence_it_stays_at_what_it_commanded_last_and_calls_that_no_
 
 # Sequences of faults, drawn at random.
 
-PERIODS = int(os.environ.get("GRIDPUSH_GUARD_PERIODS", "10000"))
+PERIODS = int(os.environ.get("GRIDPUSH_GUARD_PERIODS", "5000"))
 """How many updates of a guard the drawn sequences have together, about."""
 
 LENGTH = 200
@@ -866,7 +866,7 @@ def test_whatever_goes_wrong_the_commands_keep_what_is_promised(motion, episodes
     Story(motion, episodes).run()
 
 
-@settings(max_examples=10, deadline=None, derandomize=True, database=None)
+@settings(max_examples=5, deadline=None, derandomize=True, database=None)
 @given(motion=MOTION)
 def test_where_nothing_goes_wrong_nothing_stops_the_arm(motion):
     story = Story(motion, [])
