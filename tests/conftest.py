@@ -73,6 +73,6 @@ def pytest_terminal_summary(terminalreporter):
     skipped = terminalreporter.stats.get("skipped", [])
     late = [each.nodeid for each in skipped if USED_UP in str(each.longrepr)]
     if late:
-        terminalreporter.section(f"{len(late)} tests were not run, for the budget was used up")
+        terminalreporter.section(f"not run, for the budget was used up: {len(late)}")
         for name in late:
             terminalreporter.line(name)
