@@ -377,6 +377,7 @@ def make_rgbd(name):
     return scenario
 
 
+@pytest.mark.slow
 def test_objects_that_touch_are_found_in_the_first_picture_and_told_apart():
     """Four objects of the station, all but touching, of which the robot is told the outlines alone."""
     station = MakePushStation(make_rgbd("separate"), several=True)
