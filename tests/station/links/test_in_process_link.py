@@ -89,7 +89,7 @@ def lack_some(trouble, before, message):
 @pytest.mark.parametrize(
     ("fault", "why"),
     [
-        (reorder, NOT_NEWER),
+        pytest.param(reorder, NOT_NEWER, marks=pytest.mark.slow),
         pytest.param(spoil_some, NOT_FINITE, marks=pytest.mark.slow),
         pytest.param(lack_some, "the cable was loose", marks=pytest.mark.slow),
     ],
