@@ -4,6 +4,7 @@
 the first N tests are run, a parametrized one counting once, with its first parameters.
 """
 
+import os
 import signal
 import subprocess
 import sys
@@ -26,7 +27,10 @@ def pytest_configure(config):
 
     A suite that is run under nohup inherits an ignored SIGHUP; the tests of signals need it. And
     kernels are compiled before several workers begin, so that no test is timed while one waits.
+    Bytecode is kept whatever the surroundings say, as workers and commands import the same files.
     """
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     begins_workers = not hasattr(config, "workerinput") and config.getoption("numprocesses", None)
     if begins_workers and not config.getoption("collectonly"):
@@ -69,6 +73,6 @@ def pytest_terminal_summary(terminalreporter):
     skipped = terminalreporter.stats.get("skipped", [])
     late = [each.nodeid for each in skipped if USED_UP in str(each.longrepr)]
     if late:
-        terminalreporter.section(f"{len(late)} tests were not run, for the budget was used up")
+        terminalreporter.section(f"not run, for the budget was used up: {len(late)}")
         for name in late:
             terminalreporter.line(name)

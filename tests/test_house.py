@@ -25,10 +25,13 @@ their own, constants that say what they are, and the words of the field.
 import ast
 import io
 import re
+import subprocess
+import sys
 import tokenize
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -222,18 +225,18 @@ def collect_kernel_calls(tree: ast.Module) -> set[int]:
 
 
 LISTED = read_rooms(ROOMS)
-FOUND = {name: measure(paths) for name, paths in list_rooms().items()}
+FILES = list_rooms()
 
 
-@pytest.mark.parametrize("room", FOUND)
+@pytest.mark.parametrize("room", FILES)
 def test_a_room_reads_no_worse_than_it_did(room):
-    worse = FOUND[room].list_worse(LISTED.get(room, AIM))
+    worse = measure(FILES[room]).list_worse(LISTED.get(room, AIM))
     assert not worse, f"{room}: {', '.join(worse)}; see tests/test_house.py for what is meant"
 
 
 @pytest.mark.skipif(not PACKAGE.is_dir(), reason="a wheel's tests have no sources beside them")
 def test_every_room_listed_is_there():
-    assert LISTED.keys() <= FOUND.keys()
+    assert LISTED.keys() <= FILES.keys()
 
 
 MAX_FILES = 15
@@ -263,13 +266,6 @@ KEPT_NAMES = {"torque_share", "learned_share", "path_speed_share", "min_held_sha
 """Names with such words that are keys of files, which people have written."""
 
 
-def list_trees() -> Iterator[tuple[Path, ast.Module]]:
-    """Yields every Python file of the package, parsed."""
-    for paths in list_rooms().values():
-        for path in paths:
-            yield path, ast.parse(path.read_text(encoding="utf-8"))
-
-
 def list_names(tree: ast.Module) -> Iterator[str]:
     """Yields all names that a file gives or uses, but those of imported modules."""
     for node in ast.walk(tree):
@@ -291,36 +287,51 @@ def list_constants(tree: ast.Module) -> Iterator[str]:
         yield from (each.id for each in targets if isinstance(each, ast.Name) and each.id.isupper())
 
 
+@dataclass(frozen=True)
+class Names:
+    """What a file names: classes and constants that it defines, and all that it gives or uses."""
+
+    classes: list[str]
+    constants: list[str]
+    all: set[str]
+
+
+@pytest.fixture(scope="module")
+def names() -> dict[Path, Names]:
+    """The names of every file of the package, each parsed once."""
+    found = {}
+    for path in chain(*FILES.values()):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        classes = [node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+        found[path] = Names(classes, list(list_constants(tree)), set(list_names(tree)))
+    return found
+
+
 def test_no_folder_has_more_files_than_can_be_surveyed():
     folders = Counter(
         path.parent.relative_to(ROOT).as_posix()
-        for path, _ in list_trees()
+        for path in chain(*FILES.values())
         if path.name != "__init__.py"
     )
     assert not {folder: n for folder, n in folders.items() if n > MAX_FILES}
 
 
-def test_every_class_has_a_name_of_its_own():
-    classes = Counter(
-        node.name
-        for _, tree in list_trees()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ClassDef)
-    )
+def test_every_class_has_a_name_of_its_own(names):
+    classes = Counter(chain(*(each.classes for each in names.values())))
     assert not {name: n for name, n in classes.items() if n > 1}
 
 
-def test_constants_say_what_they_are():
-    names = {name for _, tree in list_trees() for name in list_constants(tree)}
-    of_one_word = sorted(name for name in names if "_" not in name)
+def test_constants_say_what_they_are(names):
+    constants = set(chain(*(each.constants for each in names.values())))
+    of_one_word = sorted(name for name in constants if "_" not in name)
     assert len(of_one_word) <= MAX_ONE_WORD_CONSTANTS, of_one_word
 
 
-def test_names_have_the_words_of_the_field():
+def test_names_have_the_words_of_the_field(names):
     found = {
         f"{path.relative_to(ROOT)}: {name}: {OLD_WORDS[word]}"
-        for path, tree in list_trees()
-        for name in set(list_names(tree)) - KEPT_NAMES
+        for path, here in names.items()
+        for name in here.all - KEPT_NAMES
         for word in map(str.lower, re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name))
         if word in OLD_WORDS
     }
@@ -354,11 +365,26 @@ MakeThing(1, 2, 3, 4, 5, 6, 7)
     assert VAGUE.match(docstrings[0].value)
 
 
+def test_what_there_is_no_time_for_is_counted_and_named():
+    late = ["test_a_log_holds_frozen_pushes", "test_copies_are_as_frozen_and_equal"]
+    command = ["-m", "pytest", "-n", "0", "--budget", "0", "tests/test_frozen.py", "-k"]
+    done = subprocess.run(
+        [sys.executable, *command, f"{late[0]} or {late[1]} and deepcopy and Camera"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "not run, for the budget was used up: 2" in done.stdout
+    assert all(f"\ntests/test_frozen.py::{name}" in done.stdout for name in late)
+
+
 def main() -> None:
     """Prints the table of rooms, with the room's name starred where it is at `AIM`."""
     names = [field.name for field in fields(Figures)]
     print(f"{'room':18}" + "".join(f"{name:>10}" for name in names))
-    for room, found in sorted(FOUND.items()):
+    for room, paths in sorted(FILES.items()):
+        found = measure(paths)
         values = [getattr(found, name) for name in names]
         star = "" if found.list_worse(AIM) else " *"
         print(f"{room:18}" + "".join(f"{value:10g}" for value in values) + star)

@@ -4,6 +4,7 @@ Which cells are chosen is decided in `lattice`. Masks are filled in `mask`.
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 import shapely
@@ -14,7 +15,7 @@ from shapely.validation import explain_validity
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.geometry.se2 import Array, IntArray
-from gridpush_drake.objects.cells import CellGrid, check_max_cells
+from gridpush_drake.objects.cells import CellGrid, Cells, check_max_cells
 from gridpush_drake.objects.lattice import Region, choose_cells
 
 MAX_SIZE = 1e4
@@ -28,6 +29,10 @@ MIN_AREA_FRACTION = 1e-12
 
 EDGE_SLACK = 1e-9
 """Distance from the outline within which a center counts as inside, in the outline's diameters."""
+
+MAX_REMEMBERED = 64
+"""Number of polygons whose cells are remembered. A search takes a tenth of a second, and a bench or
+a station reads the same few objects again and again."""
 
 
 def fill_outline(
@@ -56,6 +61,18 @@ def fill_outline(
     check_max_cells(name, max_cells)
     polygon = make_polygon(outline, f"{name}: outline")
     polygons = {label: _make_part(label, part, name) for label, part in parts.items()}
+    cells = _choose_cells(polygon, int(max_cells))
+    return CellGrid(
+        p_BC=cells.centers,
+        cell_size=cells.size,
+        labels=_find_parts(cells.centers, polygons),
+        outline=polygon,
+    )
+
+
+@lru_cache(maxsize=MAX_REMEMBERED)
+def _choose_cells(polygon: Polygon, max_cells: int) -> Cells:
+    """Chooses the cells that fill a polygon, m; the same polygon's are searched for only once."""
     region = _measure(polygon)
     # Centers on the outline count as inside, whatever round-off says.
     slack = EDGE_SLACK * float(np.linalg.norm(region.extent))
@@ -73,13 +90,7 @@ def fill_outline(
         return shapely.area(shapely.intersection(boxes, polygon)) / size**2
 
     # The lattice is chosen by these two measures of its cells.
-    cells = choose_cells(region, fraction, overlap, int(max_cells))
-    return CellGrid(
-        p_BC=cells.centers,
-        cell_size=cells.size,
-        labels=_find_parts(cells.centers, polygons),
-        outline=polygon,
-    )
+    return choose_cells(region, fraction, overlap, max_cells)
 
 
 def make_polygon(

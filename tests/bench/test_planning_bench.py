@@ -21,7 +21,7 @@ def masks():
     return shared_data("masks")
 
 
-@pytest.mark.parametrize("seed", [None, 0, 1, 2])
+@pytest.mark.parametrize("seed", [None, 0])
 def test_every_object_may_lie_where_the_protocol_says(seed):
     """Of the public data (None) as of those drawn by seed."""
     protocol = (

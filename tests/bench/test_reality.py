@@ -89,6 +89,7 @@ def test_mujoco_pushes_as_the_model_says():
     np.testing.assert_array_equal(plant.push(push, pose), plant.push(push, pose))
 
 
+@pytest.mark.slow
 def test_a_set_of_real_pushes_is_predicted_in_every_simulator():
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
     path = shared_data("cmu_pushes", "hardboard_wide.txt")

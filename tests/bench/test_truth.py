@@ -125,6 +125,7 @@ def test_refuses_what_makes_no_sense(arguments, says):
         truth.STUDY.run(execution=Execution(workers=0), **arguments)
 
 
+@pytest.mark.slow
 def test_pushes_by_design_tell_more_than_random_ones_of_the_same_body(folder, capsys):
     arguments = (
         "bench", "truth", "--kind", "three_feet", "--objects", "spray_bottle", "--sets", "1",

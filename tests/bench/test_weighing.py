@@ -53,7 +53,7 @@ def plan(world, heading, mass=0.5, params=None, obj=None):
     return min(rests, key=lambda one: one.relative_std)
 
 
-@pytest.mark.parametrize(("name", "heading"), [("claw_hammer", 0.3), ("snack_bag", np.pi)])
+@pytest.mark.parametrize(("name", "heading"), [("claw_hammer", 0.3)])
 def test_the_force_at_which_it_tilts_is_that_of_the_moments(name, heading):
     obj = load_object(name)
     params = sample_ground_truth(obj, 3, friction_by_part=True)
@@ -204,6 +204,7 @@ def test_scores_are_kept_as_json():
         assert back.mass == truth.total_mass
 
 
+@pytest.mark.slow
 def test_the_bench_presses_where_the_robot_s_planner_says(monkeypatch):
     """One planner decides for both: what it yields is pressed, and nothing else. In MuJoCo."""
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")

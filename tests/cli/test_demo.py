@@ -274,14 +274,13 @@ def test_weighs_what_it_is_told_nothing_of_and_lifts_it(gridpush, tmp_path):
     assert offline.read_text() == (out / "model.yaml").read_text()
 
 
-@pytest.mark.parametrize("task", TASK_KINDS)
 @pytest.mark.parametrize(
-    ("more", "renders", "kind"),
+    ("task", "more", "renders", "kind"),
     [
-        ([], True, "rgbd"),
-        ([], False, "ideal"),
-        (["--camera", "ideal"], True, "ideal"),
-        (["--scenario"], True, "ideal"),
+        *((task, [], True, "rgbd") for task in TASK_KINDS),
+        *((task, [], False, "ideal") for task in ("identify", "separate")),
+        ("identify", ["--camera", "ideal"], True, "ideal"),
+        ("identify", ["--scenario"], True, "ideal"),
     ],
 )
 def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, renders, kind):

@@ -70,8 +70,16 @@ def find_blocks(name, language):
     return re.findall(rf"```{language}\n(.*?)```", TEXTS[name], re.DOTALL)
 
 
+LONG_EXAMPLES = {"docs/howto/gym.md-1"}
+"""A game that is played to its end; `tests/gym` plays it, too."""
+
 EXAMPLES = [
-    pytest.param(name, block, id=f"{name}-{i}")
+    pytest.param(
+        name,
+        block,
+        id=f"{name}-{i}",
+        marks=[pytest.mark.slow] if f"{name}-{i}" in LONG_EXAMPLES else [],
+    )
     for name in sorted(TEXTS.keys() - RUN_ELSEWHERE)
     for i, block in enumerate(find_blocks(name, "python"))
 ]

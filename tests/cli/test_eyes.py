@@ -1,6 +1,7 @@
 """`gridpush object`, `calibrate` and `track`, from image files to an object file and a push log."""
 
 import json
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,7 @@ L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12],
     0.04,
 ]
 POSE, HEIGHT, BROWN = np.array([0.02, 0.01, 0.3]), 0.03, (150, 120, 80)
+BLOCK = L_SHAPE[1] + np.array([[0.0, -0.01], [0.05, -0.01], [0.05, 0.03], [0.0, 0.03]])
 TAG_SIZE = 0.03
 RADIUS = 0.005
 
@@ -234,19 +236,29 @@ def write_times(folder, t, tips):
     (folder / "tip.csv").write_text("t,tip_x,tip_y\n" + tip_lines)
 
 
-def write_video(folder, with_tags, block=None):
-    (folder / "video").mkdir()
+@cache
+def paint_push(with_tags, with_block):
+    """The pictures of a push, each the bytes of a PNG file."""
     t, tips, poses = make_push()
+    pictures = []
     for k in range(len(t)):
         prisms = [(L_SHAPE, poses[k], HEIGHT, BROWN)]
-        if block is not None:
-            prisms.append((block, poses[k], HEIGHT, BROWN))
+        if with_block:
+            prisms.append((BLOCK, poses[k], HEIGHT, BROWN))
         color = paint(make_camera(), prisms, seed=k, depth=False).color
         if with_tags:
             color = paint_tag(
                 color, make_camera(), 9, square([*tips[k] - [0.06, 0], 0], TAG_SIZE, 0.04), k
             )
-        save(folder / "video" / f"{k:03d}.png", color)
+        pictures.append(cv2.imencode(".png", color[..., ::-1])[1].tobytes())
+    return pictures
+
+
+def write_video(folder, with_tags, with_block=False):
+    (folder / "video").mkdir()
+    t, tips, poses = make_push()
+    for k, picture in enumerate(paint_push(with_tags, with_block)):
+        (folder / "video" / f"{k:03d}.png").write_bytes(picture)
     write_times(folder, t, tips)
     obj = GridObject.from_outline(L_SHAPE, max_cells=40, name="l_shape")
     GridObject("l_shape", *obj.grid, obj.prior, HEIGHT).write_yaml(folder / "object.yaml")
@@ -282,9 +294,8 @@ def test_track_writes_the_pushes_of_a_folder_of_images(capsys, folder, with_tags
 
 def test_track_tells_apart_what_is_beside_the_object(capsys, folder):
     """A block of the same color, which the object pushes along."""
-    block = L_SHAPE[1] + np.array([[0.0, -0.01], [0.05, -0.01], [0.05, 0.03], [0.0, 0.03]])
-    _, _, poses = write_video(folder, False, block)
-    obj = GridObject.from_outline(block - block.mean(axis=0), max_cells=20, name="block")
+    _, _, poses = write_video(folder, False, with_block=True)
+    obj = GridObject.from_outline(BLOCK - BLOCK.mean(axis=0), max_cells=20, name="block")
     GridObject("block", *obj.grid, obj.prior, HEIGHT).write_yaml(folder / "block.yaml")
 
     def run(*more):

@@ -13,6 +13,7 @@ pokes: {count: 1, test_count: 0, speed: 0.06}
 """
 
 
+@pytest.mark.slow
 def test_a_demo_is_written_for_the_viewer(capsys, tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     (tmp_path / "scenario.yaml").write_text(SCENARIO)

@@ -80,6 +80,7 @@ def test_shows_pushes_beside_their_predictions(gridpush, pushes, model, tmp_path
         assert entity in printed, entity
 
 
+@pytest.mark.slow
 def test_shows_it_live(pushes, model, tmp_path):
     """In a viewer that is open: here Rerun's own receiver, which writes down what comes."""
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")

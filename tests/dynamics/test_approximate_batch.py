@@ -180,24 +180,26 @@ def test_loads_that_shift_and_the_inertial_regime_are_approximated_too(regime: s
     assert abs(end[2] - exact[2]) < ANGLE_BOUND
 
 
-@pytest.mark.parametrize("cells", [None, 2000])
+@pytest.mark.parametrize("cells", [None, 1500])
 def test_shipped_objects_end_where_they_do_exactly(cells: int | None) -> None:
-    check_shipped_objects(cells, count=3)
+    check_shipped_objects(cells, count=2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cells", [None, 5000])
-def test_two_thousand_pushes_of_shipped_objects_end_where_they_do_exactly(
+def test_hundreds_of_pushes_of_shipped_objects_end_where_they_do_exactly(
     cells: int | None,
 ) -> None:
-    check_shipped_objects(cells, count=223)
+    check_shipped_objects(cells, count=90)
 
 
 def check_shipped_objects(cells: int | None, count: int) -> None:
     """Compares pushes of every shipped object, as it is or in as many cells."""
     rng = np.random.default_rng(5)
     errors = []
-    for name in list_shipped_objects():
+    # Into many cells it takes a second to divide an object.
+    names = list_shipped_objects()
+    for name in names if cells is None else names[::3]:
         obj = GridObject.from_yaml(find_shipped_object(name))
         if cells is not None:
             obj = GridObject.from_outline(obj.outline, max_cells=cells, name=name)

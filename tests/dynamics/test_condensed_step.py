@@ -51,7 +51,7 @@ def take_step(step, **physics):
     return calc_step(Model(step.obj, step.params, Physics(**physics)), step.q, step.nu, wrench, DT)
 
 
-def make_steps(case, count=40):
+def make_steps(case, count=20):
     for seed in range(count):
         step = make_random_step(
             seed, n=int(np.random.default_rng(seed).integers(1, 41)), **CASES[case]

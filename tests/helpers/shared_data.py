@@ -1,8 +1,13 @@
 """Where public data of other people lie, beside the repository; tests that want them are skipped without them."""
 
+from functools import cache
 from pathlib import Path
 
 import pytest
+
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.importers.cmu import CmuImporter
+from gridpush_drake.pushes.push_log import PushLog
 
 SHARED_DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
@@ -13,3 +18,9 @@ def shared_data(*parts: str) -> Path:
     if not path.exists():
         pytest.skip(f"{path} is not there: public data lie outside the repository")
     return path
+
+
+@cache
+def read_cmu(name: str, calibrate: bool = True) -> tuple[PushLog, GridObject]:
+    """The real pushes of a surface and shape, and the block; each file is read once."""
+    return CmuImporter(calibrate=calibrate).read(shared_data("cmu_pushes", f"{name}.txt"))

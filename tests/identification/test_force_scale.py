@@ -18,9 +18,8 @@ from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.push_log import PushLog
-from tests.helpers.shared_data import shared_data
+from tests.helpers.shared_data import read_cmu
 from tests.identification.simulated_pokes import make_pokes
 
 RECTANGLE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
@@ -300,7 +299,7 @@ def test_a_model_file_keeps_it(tmp_path) -> None:
 )
 def test_real_forces_give_a_steel_block_a_likely_friction(name: str) -> None:
     """1.518 kg on hardboard and plywood, whose friction is between 0.2 and 0.5."""
-    log, obj = CmuImporter().read(shared_data("cmu_pushes", f"{name}.txt"))
+    log, obj = read_cmu(name)
     model = identify(Model(obj), log[:10])
     assert model.force is not None and model.force.pushes >= 9 and model.force.relative_std < 0.15
     low, high = model.force.calc_mean_friction_bounds(obj)

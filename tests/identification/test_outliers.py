@@ -176,7 +176,7 @@ def test_what_would_have_been_believed_is_where_the_odds_are_even() -> None:
     assert foreign - own + np.log(OUTLIER_PRIOR_RATIO) == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("name", "seed"), [("square", 0), ("square", 4), ("l_bracket", 4)])
+@pytest.mark.parametrize(("name", "seed"), [("square", 4), ("l_bracket", 4)])
 def test_two_of_ten_pushes_of_another_object_are_named_though_loads_that_shift_could_explain_them(
     name: str, seed: int
 ) -> None:

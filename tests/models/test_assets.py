@@ -1,5 +1,6 @@
 """Every file in models/ is read, and says what its comments say; new files are found by themselves."""
 
+from functools import lru_cache
 from pathlib import PurePath
 
 import numpy as np
@@ -42,8 +43,9 @@ ROBOTS = [file for file in MODELS if file.startswith("robots/")]
 TABLE_SCENES = [file for file in SCENES if "name: table" in (find_models() / file).read_text()]
 
 
+@lru_cache(maxsize=16)
 def parse(file):
-    """The plant with a model or scene, the scene graph and the Diagram."""
+    """The plant with a model or scene, the scene graph and the Diagram; nothing changes them."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.002)
     parser = MakeParser(plant)

@@ -86,7 +86,7 @@ def test_majority_names_a_cells_part(tmp_path):
     assert sorted(obj.labels) == [1] * 6 + [5] * 3
 
 
-@pytest.mark.parametrize("degrees", [0, 3, 10, 20, 30, 45, 60, 77, 88])
+@pytest.mark.parametrize("degrees", [0, 3, 30, 45, 77])
 @pytest.mark.parametrize("width, height", [(160, 80), (200, 40)])
 def test_long_edges_of_a_turned_rectangle_have_true_normals(tmp_path, degrees, width, height):
     obj = read(tmp_path / "r.png", raster_rectangle(width, height, degrees))
@@ -152,7 +152,7 @@ def test_noise_is_traced_at_a_coarser_scale_instead_of_forever(tmp_path):
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 300))
 @settings(
-    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    deadline=None, max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_random_blobs(tmp_path, seed, max_cells):
     noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(70, 90)), 6)
@@ -265,7 +265,7 @@ def test_damaged_files_are_refused(tmp_path, content, word):
 
 def test_every_cut_of_a_png_is_refused_or_read(tmp_path):
     content = save(tmp_path / "a.png", raster_rectangle(20, 10, 30, 40)).read_bytes()
-    for end in range(len(content) - 1):
+    for end in [*range(60), *range(60, len(content) - 1, 7)]:
         (tmp_path / "b.png").write_bytes(content[:end])
         try:
             GridObject.from_mask(tmp_path / "b.png", meters_per_pixel=1, max_cells=5)

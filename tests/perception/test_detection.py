@@ -248,6 +248,7 @@ def test_image_files(tmp_path):
         assert name in str(raised.value)
 
 
+@pytest.mark.slow
 def test_real_photographs():
     camera = Camera(640, 480, [[615, 0, 320], [0, 615, 240], [0, 0, 1]], [])
     scores = {}

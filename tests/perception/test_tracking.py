@@ -278,8 +278,11 @@ NEARLY = make_wrench(0.016, 0.0165, shift=0.04)
 PLATE = shapely.box(-0.06, -0.035, 0.06, 0.035)
 
 
-@pytest.mark.parametrize("theta", [-2.6, 0.7])
-@pytest.mark.parametrize("outline", [EQUAL_ENDS, NEARLY, PLATE], ids=["wrench", "nearly", "plate"])
+@pytest.mark.parametrize(
+    ("outline", "theta"),
+    [(EQUAL_ENDS, -2.6), (NEARLY, 0.7), (PLATE, -2.6)],
+    ids=["wrench", "nearly", "plate"],
+)
 def test_what_looks_the_same_turned_round_is_not_flipped_by_a_push_out_of_sight(outline, theta):
     start = np.array([-0.04, -0.02, theta])
     end = start + [0.06, 0.05, 0.5]

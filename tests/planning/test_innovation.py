@@ -255,7 +255,7 @@ def test_a_clear_surprise_counts_like_two_in_a_row(monkeypatch: pytest.MonkeyPat
     assert (calm.total, calm.in_row, calm.is_changed, calm.forgotten) == (1, 0, False, 3)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_an_object_whose_load_is_changed_is_poked_and_learned_anew(hammer, seed) -> None:
     statuses, run = push_a_hammer(hammer, {5: load_end(hammer, -1)}, seed)
     # The sixth push, the first one with another load, surprises clearly, and none before it did.
@@ -278,15 +278,14 @@ def test_an_object_whose_load_is_changed_is_poked_and_learned_anew(hammer, seed)
     assert mass[light].mean() < mass[~light].mean()
 
 
-@pytest.mark.parametrize("seed", range(2))
 def test_an_object_that_stays_the_same_is_pushed_as_if_nobody_judged(
-    hammer, seed, monkeypatch: pytest.MonkeyPatch
+    hammer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    statuses, run = push_a_hammer(hammer, {}, seed, ratio=3.0)
+    statuses, run = push_a_hammer(hammer, {}, 0, ratio=3.0)
     assert run.state.innovations.total == run.innovations.total == 0
     assert all(status.innovations == 0 and not status.surprise for status in statuses)
     monkeypatch.setattr(InnovationRecord, "note", lambda self, model, log: self)
-    unjudged, other = push_a_hammer(hammer, {}, seed, ratio=3.0)
+    unjudged, other = push_a_hammer(hammer, {}, 0, ratio=3.0)
     assert [status.reason for status in statuses] == [status.reason for status in unjudged]
     for a, b in zip(run.log, other.log, strict=True):
         np.testing.assert_array_equal(a.poses_observed, b.poses_observed)
@@ -593,7 +592,7 @@ def test_a_changed_object_at_the_edge_is_brought_back_and_learned_anew(hammer) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*range(6), 24])
+@pytest.mark.parametrize("seed", [0, 1, 2, 24])
 def test_no_object_falls_whose_load_is_turned_when_it_comes_to_the_edge(seed) -> None:
     obj = GridObject.from_yaml(find_shipped_object("toolbox")).forget()
     prior = replace(obj.prior, friction=0.35, friction_min=0.3, friction_max=0.4)

@@ -40,6 +40,18 @@ def experiment():
     return make_identification(obj), log[:4], log[4:], truth
 
 
+@pytest.fixture(scope="module")
+def page(experiment):
+    """The report with the truth and pushes held out."""
+    return make_report(*experiment)
+
+
+@pytest.fixture(scope="module")
+def short_page(experiment):
+    """The report of the pushes alone."""
+    return make_report(*experiment[:2])
+
+
 def figures_of(page):
     checker = Checker()
     checker.feed(page)
@@ -52,9 +64,8 @@ def figures_of(page):
     ]
 
 
-def test_is_one_page_that_needs_nothing_else(experiment):
-    result, log, held_out, truth = experiment
-    page = make_report(result, log, held_out, truth)
+def test_is_one_page_that_needs_nothing_else(experiment, page):
+    result = experiment[0]
     assert len(figures_of(page)) == 7
     assert not re.search(r"https?://(?!www\.w3\.org)", page)
     for text in (
@@ -73,20 +84,17 @@ def test_the_drawing_of_a_single_push_is_no_page_high(experiment):
     assert max(heights) < 5 * 72
 
 
-def test_draws_how_the_error_fell_push_by_push(experiment):
-    result, log, held_out, truth = experiment
-    page = make_report(result, log, held_out, truth, learning=[0.03, 0.012, 0.004])
-    assert len(figures_of(page)) == 8
-    assert "Push by push" in page
-    assert "Push by push" not in make_report(result, log, held_out, truth)
+def test_draws_how_the_error_fell_push_by_push(experiment, page):
+    longer = make_report(*experiment, learning=[0.03, 0.012, 0.004])
+    assert len(figures_of(longer)) == 8
+    assert "Push by push" in longer
+    assert "Push by push" not in page
 
 
-def test_needs_neither_truth_nor_held_out_pushes(experiment):
-    result, log, _, _ = experiment
-    page = make_report(result, log)
-    assert len(figures_of(page)) == 7
-    assert "the pushes it learned from" in page
-    assert "held out" not in page.lower().replace("pushes held out", "")
+def test_needs_neither_truth_nor_held_out_pushes(short_page):
+    assert len(figures_of(short_page)) == 7
+    assert "the pushes it learned from" in short_page
+    assert "held out" not in short_page.lower().replace("pushes held out", "")
 
 
 def test_says_that_the_prior_was_kept(experiment):
@@ -122,12 +130,11 @@ def test_many_pushes_are_drawn_as_points(experiment):
     figures_of(page)
 
 
-def test_is_the_same_every_time(experiment):
-    result, log, _, _ = experiment
-    assert make_report(result, log) == make_report(result, log)
+def test_is_the_same_every_time(experiment, short_page):
+    assert make_report(*experiment[:2]) == short_page
 
 
-def test_names_the_hypotheses_of_the_loads_that_the_estimate_rests_on(experiment):
+def test_names_the_hypotheses_of_the_loads_that_the_estimate_rests_on(experiment, short_page):
     result, log, _, _ = experiment
     weighed = (
         HypothesisEvidence("rigid bottom", -2.0, -1.0, 0.12),
@@ -136,4 +143,4 @@ def test_names_the_hypotheses_of_the_loads_that_the_estimate_rests_on(experiment
     )
     page = make_report(replace(result, hypotheses=weighed), log)
     assert "smooth field 1.5 (88 %), rigid bottom (12 %)" in page and "two parts 1" not in page
-    assert "hypotheses of the loads" not in make_report(result, log)
+    assert "hypotheses of the loads" not in short_page

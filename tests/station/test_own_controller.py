@@ -41,6 +41,7 @@ class Nudger(LeafSystem):
         state.set_value(command.to_vector())
 
 
+@pytest.mark.slow
 def test_commands_the_station_and_uses_what_it_learned():
     builder = DiagramBuilder()
     station = builder.AddSystem(MakePushStation(PushScenario(object="claw_hammer")))

@@ -147,6 +147,7 @@ def read_true_poses(bench):
     )
 
 
+@pytest.mark.slow
 def test_several_objects_are_found_by_their_outlines_and_each_pose_is_said(scene_bench):
     bench = scene_bench
     bench.begin()

@@ -140,6 +140,7 @@ def check_press(bench, moved=1.5e-3):
     np.testing.assert_array_equal(press.pose, bench.planned.pose)
 
 
+@pytest.mark.slow
 def test_an_arm_weighs_what_hangs_over_the_edge_and_leaves_it_where_it_lies():
     check_press(PressBench(make_scenario()))
 

@@ -76,6 +76,7 @@ def test_a_demo_reads_draws_and_solves_everything_once(capsys, counts, monkeypat
     check_counts(counts, scenes=2)  # what is checked, and the world
 
 
+@pytest.mark.slow
 def test_a_demo_with_pictures_builds_the_photograph_s_scene_and_the_world_s(
     capsys, counts, monkeypatch, tmp_path
 ):

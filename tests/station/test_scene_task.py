@@ -351,7 +351,7 @@ def test_what_was_learned_of_each_object_is_drawn_recorded_and_written(tmp_path)
         assert run.get(f"/{name}/object_pose") and run.get(f"/{name}/center_of_mass")
 
 
-@pytest.mark.parametrize(("tolerance", "angle"), [(0.02, 0.2), (0.005, 0.05), (0.3, 0.5)])
+@pytest.mark.parametrize(("tolerance", "angle"), [(0.005, 0.05), (0.3, 0.5)])
 def test_a_goals_tolerance_is_one_of_position_and_turn(tolerance, angle):
     scenario = read_scenario("rearrange")
     goal = scenario.goal.model_copy(update={"tolerance": tolerance})
@@ -370,15 +370,6 @@ def test_objects_of_one_name_are_told_apart():
     assert SceneDecision(SceneAction.DONE, "done").push is None
 
 
-@pytest.mark.slow
-def test_objects_are_separated_by_the_robot():
-    record = SeparateTask(read_scenario("separate")).run()
-    assert record.status == TaskStatus.REACHED, record.message
-    assert record.clearances.min() > WANTED_CLEARANCE - 0.003
-    assert record.limit_report.ok, record.limit_report
-    assert len(record.scene_log) == record.pushes >= 1
-
-
 def make_rgbd(name):
     require_renderer()
     scenario = read_scenario(name)
@@ -386,6 +377,7 @@ def make_rgbd(name):
     return scenario
 
 
+@pytest.mark.slow
 def test_objects_that_touch_are_found_in_the_first_picture_and_told_apart():
     """Four objects of the station, all but touching, of which the robot is told the outlines alone."""
     station = MakePushStation(make_rgbd("separate"), several=True)
@@ -466,7 +458,9 @@ def test_every_task_is_done_by_what_a_color_and_depth_camera_shows(name):
 def test_objects_are_separated_beside_a_post_by_the_robot():
     record = SeparateTask(make_scenario_with_a_post()).run()
     assert record.status == TaskStatus.REACHED, record.message
+    assert record.clearances.min() > WANTED_CLEARANCE - 0.003
     assert record.limit_report.ok, record.limit_report  # nothing touched the post
+    assert len(record.scene_log) == record.pushes >= 1
 
 
 @pytest.mark.slow

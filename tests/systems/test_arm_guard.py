@@ -866,7 +866,7 @@ def test_whatever_goes_wrong_the_commands_keep_what_is_promised(motion, episodes
     Story(motion, episodes).run()
 
 
-@settings(max_examples=10, deadline=None, derandomize=True, database=None)
+@settings(max_examples=5, deadline=None, derandomize=True, database=None)
 @given(motion=MOTION)
 def test_where_nothing_goes_wrong_nothing_stops_the_arm(motion):
     story = Story(motion, [])

@@ -152,7 +152,8 @@ def simulate(system, seed):
     return simulator
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.usefixtures("without_forecasts")
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_nothing_is_raised(name, seed):
     system = SYSTEMS[name]()

@@ -32,6 +32,8 @@ from gridpush_drake.systems.base.messages import (
 )
 from gridpush_drake.systems.control.pregrasp_controller import PreGraspController
 
+pytestmark = pytest.mark.usefixtures("without_forecasts")
+
 TABLE = SupportSurface.rectangle((0.0, 0.0), (0.8, 0.6))
 
 BAR = GridObject.from_outline(

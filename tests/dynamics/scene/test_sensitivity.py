@@ -46,7 +46,7 @@ def test_exact_gradients(count):
     skipped = 0
     blocks = 0
     together = 0
-    for seed in range(8):
+    for seed in range(4):
         shapes = np.random.default_rng(seed).permutation(list(SHAPES))[:count]
         scene, push = make_row(seed, shapes, cells=8)
         case = SceneCase(scene, push, STEPS, ["coupled", "separate"][seed % 2])
@@ -56,5 +56,5 @@ def test_exact_gradients(count):
         modes = case.result.modes
         together += bool((modes[case.result.contact_bodies[:, :, 1] >= 0] != 0).any())
     print(f"{count} objects: {skipped} of {blocks} blocks cross a switch, {together} touch")
-    assert together >= 6
+    assert together >= 3
     assert skipped <= blocks // 3

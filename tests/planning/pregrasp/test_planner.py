@@ -408,7 +408,7 @@ def test_the_whole_task_with_hidden_masses(pan, parts):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_hidden_masses_never_fall(pan, parts, seed):
     truth = CellParameters.random(pan, seed, friction_range=(0.25, 0.5))
     surface = (TABLE, ROUND)[seed % 2]

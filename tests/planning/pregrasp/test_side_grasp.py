@@ -147,9 +147,7 @@ def test_finds_none_with_a_heading_that_does_not_point_inwards():
     ("name", "y", "theta"),
     [
         ("combination_wrench", 0.105, 1.072),
-        ("combination_wrench", 0.15, 0.55),
         ("combination_wrench", 0.12, -1.9),
-        ("combination_wrench", 0.17, -2.35),
         ("pliers", 0.2, -2.893),
         ("claw_hammer", 0.13, 0.8),
     ],

@@ -7,7 +7,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.pushes.importers import cmu
 from gridpush_drake.pushes.importers.cmu import CmuImporter, triangle_block
 from gridpush_drake.pushes.push_log import PushLog
-from tests.helpers.shared_data import shared_data
+from tests.helpers.shared_data import read_cmu
 from tests.pushes.gaps import gap, gaps
 
 FILES = ["hardboard_wide", "hardboard_middle", "hardboard_patch", "plywood_wide", "plywood_middle"]
@@ -236,7 +236,7 @@ def test_files_that_cannot_be_read(tmp_path):
 @pytest.mark.parametrize("name", FILES)
 def test_real_pushes_touch_the_block(name):
     """The tool approaches for about 2.7 mm, touches as the force sets in, and touches still at the end."""
-    log, block = import_cmu(shared_data("cmu_pushes", f"{name}.txt"))
+    log, block = read_cmu(name)
     start, end = gaps(log, block)
     touch = []
     for seen in log:
@@ -255,14 +255,13 @@ def test_real_pushes_touch_the_block(name):
 
 @pytest.mark.parametrize("name", FILES)
 def test_real_pushes_uncalibrated_do_not_touch_as_well(name):
-    path = shared_data("cmu_pushes", f"{name}.txt")
-    calibrated, raw = (gaps(*import_cmu(path, calibrate=flag))[1] for flag in (True, False))
+    calibrated, raw = (gaps(*read_cmu(name, flag))[1] for flag in (True, False))
     assert np.abs(calibrated).mean() < np.abs(raw).mean()
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_real_pushes_as_a_whole(name, tmp_path):
-    log, _ = import_cmu(shared_data("cmu_pushes", f"{name}.txt"))
+    log, _ = read_cmu(name)
     for seen in log:
         assert np.all(seen.pose == 0)
         assert seen.push.length == pytest.approx(0.01695, abs=2e-4)

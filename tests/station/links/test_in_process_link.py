@@ -68,10 +68,6 @@ class Trouble:
         return self.fault(self, before, message)
 
 
-def double(trouble, before, message):
-    return [message, message]
-
-
 def reorder(trouble, before, message):
     """Every tenth comes once more, after the one that followed it."""
     return [message, before] if trouble.count % 10 == 0 else [message]
@@ -93,8 +89,7 @@ def lack_some(trouble, before, message):
 @pytest.mark.parametrize(
     ("fault", "why"),
     [
-        pytest.param(double, NOT_NEWER, marks=pytest.mark.slow),
-        (reorder, NOT_NEWER),
+        pytest.param(reorder, NOT_NEWER, marks=pytest.mark.slow),
         pytest.param(spoil_some, NOT_FINITE, marks=pytest.mark.slow),
         pytest.param(lack_some, "the cable was loose", marks=pytest.mark.slow),
     ],
