@@ -81,8 +81,8 @@ def test_the_region_holds_what_evidence_says_where_predictions_say_otherwise(mon
     center, _ = calc_center_of_friction(found)
 
     # An almost even object, far off, is made out to predict best by far.
-    def favor_even(ends, noise):
-        return np.where(np.arange(len(ends)) == 0, 300.0, 0.0)
+    def favor_even(fits, evidences, noise):
+        return np.where(np.arange(len(fits)) == 0, 300.0, 0.0)
 
     monkeypatch.setattr(fit_average, "_calc_predictives", favor_even)
     moved, covariance = calc_center_of_friction(learn(8.0))

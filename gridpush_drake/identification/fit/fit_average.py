@@ -30,7 +30,7 @@ from gridpush_drake.identification.fit.hypotheses import LoadHypothesis
 from gridpush_drake.identification.fit.load_prior import LoadPrior
 from gridpush_drake.identification.fit.map_fit import MapFit
 from gridpush_drake.identification.result import FitStart, HypothesisEvidence, IdentificationStatus
-from gridpush_drake.identification.statistics.noise import LeftOutEnds, NoiseModel, NoiseScale
+from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.statistics.posterior import CELL_ENTRIES, calc_fraction
 from gridpush_drake.identification.statistics.problem import PushProblem
 
@@ -145,8 +145,7 @@ def average_fits(
     # estimate look surer. So the mean goes by w, and the spread by w', without the prior's weights,
     # and over all fits that either the evidence or the predictions speak for.
     evidences = np.array([one.shared_log_evidence for one in candidates])
-    ends = _leave_out_ends(fits, evidences)
-    predictives = _calc_predictives(ends, noise)
+    predictives = _calc_predictives(fits, evidences, noise)
     said = (1 - PREDICTIVE_FRACTION) * evidences + PREDICTIVE_FRACTION * predictives
     leaning = said + np.log([one.prior.weight for one in candidates])
     weights = softmax(leaning)
@@ -168,14 +167,13 @@ def average_fits(
     shared = problem.calc_tilt_covariance(SHARED_SHIFT * surer * scaled.load_shift)
 
     best = int(np.argmax(weights))
-    gains = _calc_predictive_gains(candidates, ends, weights)
     return MapEnsembleFit(
         z=z,
         covariance=wider**2 * covariance + shared,
         prior_covariance=wider**2 * prior_covariance,
         noise_std=scaled.pose,
         load_shift_std=scaled.load_shift,
-        status=_find_status(candidates[best].prior, gains),
+        status=_find_status(candidates, weights),
         starts=tuple(FitStart(one.fit.z, one.fit.scale, one.name) for one in candidates),
         best=fits[best],
         interval_scale=kappa / wider,
@@ -216,54 +214,23 @@ def _describe_hypotheses(
     )
 
 
-def _leave_out_ends(fits: list[MapFit], evidences: Array) -> list[LeftOutEnds | None]:
-    """Predicts the ends of pushes from all other pushes, by each fit; None by hopeless fits."""
-    asked = evidences > evidences.max() - HOPELESS_EVIDENCE_GAP
-    return [
-        fit.linearized.leave_out_ends() if ask else None
-        for fit, ask in zip(fits, asked, strict=True)
-    ]
-
-
-def _calc_predictives(ends: list[LeftOutEnds | None], noise: NoiseModel) -> Array:
+def _calc_predictives(fits: list[MapFit], evidences: Array, noise: NoiseModel) -> Array:
     """Calculates how well each fit predicts the ends of pushes from all other pushes.
 
     Args:
-        ends: (a,) how far off each fit's predictions are.
+        fits: the fits.
+        evidences: (a,) their log evidences.
         noise: the noise model, unscaled.
 
     Returns:
         (a,) log densities. Hopeless fits have the least one of all others.
     """
-    found = [np.inf if one is None else noise.calc_log_predictive(one) for one in ends]
-    return np.where(np.isinf(found), np.min(found), found)
-
-
-def _calc_predictive_gains(
-    candidates: list[Candidate], ends: list[LeftOutEnds | None], weights: Array
-) -> Array | None:
-    """Calculates how much nearer pushes left out are predicted by the average than by an even fit.
-
-    Args:
-        candidates: the priors with their fits.
-        ends: (a,) how far off each fit's predictions are.
-        weights: (a,) weights in the mean.
-
-    Returns:
-        (P,) distance of each push's end from the even fit's prediction, less that from the
-        average's, m; None if no fit stands for an even object, or it is hopeless.
-    """
-    even = next((i for i, one in enumerate(candidates) if one.prior.stands_for_even), None)
-    by_even = None if even is None else ends[even]
-    if by_even is None:
-        return None
-
-    # Residuals are linear in the loads, so that those of the average are averages.
-    asked = [(weight, one) for weight, one in zip(weights, ends, strict=True) if one is not None]
-    total = sum(weight for weight, _ in asked)
-    averaged = np.sum([weight / total * one.errors for weight, one in asked], axis=0)
-    distances = np.linalg.norm(by_even.errors, axis=1) - np.linalg.norm(averaged, axis=1)
-    return np.asarray(distances)
+    asked = evidences > evidences.max() - HOPELESS_EVIDENCE_GAP
+    found = [
+        noise.calc_log_predictive(fit.linearized.leave_out_ends()) if ask else np.inf
+        for fit, ask in zip(fits, asked, strict=True)
+    ]
+    return np.where(asked, found, np.min(found))
 
 
 def _calc_mixture(
@@ -347,23 +314,55 @@ class _AveragedGroup:
     on_grid: bool
 
 
-def _find_status(best: LoadPrior, gains: Array | None) -> IdentificationStatus:
+def _find_status(candidates: list[Candidate], weights: Array) -> IdentificationStatus:
     """Tells whether anything was learned.
 
     Args:
-        best: the most probable prior.
-        gains: (P,) by how much an even object predicts each push left out worse than the average
-            does, m; None if there is no even object to compare with.
+        candidates: the priors with their fits.
+        weights: (a,) weights in the mean.
 
     Returns:
         "prior_kept" if an even object is the most probable, or if pushes left out are not predicted
         better than by it by more than one standard error.
     """
-    kept = best.stands_for_even
+    kept = candidates[int(np.argmax(weights))].prior.stands_for_even
+    gains = _calc_predictive_gains(candidates, weights)
     if gains is not None and len(gains) >= MIN_CHECKED_PUSHES:
         standard_error = gains.std(ddof=1) / np.sqrt(len(gains))
         kept = kept or bool(gains.mean() <= standard_error)
     return IdentificationStatus.PRIOR_KEPT if kept else IdentificationStatus.LEARNED
+
+
+def _calc_predictive_gains(candidates: list[Candidate], weights: Array) -> Array | None:
+    """Calculates how much nearer pushes left out are predicted by the average than by an even fit.
+
+    Args:
+        candidates: the priors with their fits.
+        weights: (a,) weights in the mean.
+
+    Returns:
+        (P,) distance of each push's end from the even fit's prediction, less that from the
+        average's, m; None if no fit stands for an even object, or the evidence is clearly against
+        it.
+    """
+    hopeless = max(one.shared_log_evidence for one in candidates) - HOPELESS_EVIDENCE_GAP
+    even = next(
+        (
+            one.fit
+            for one in candidates
+            if one.prior.stands_for_even and one.shared_log_evidence > hopeless
+        ),
+        None,
+    )
+    if even is None:
+        return None
+
+    # Residuals are linear in the loads, so that those of the average are averages.
+    counted = np.flatnonzero(weights > NEGLIGIBLE_WEIGHT)
+    errors = [candidates[i].fit.linearized.leave_out_ends().errors for i in counted]
+    averaged = np.average(errors, axis=0, weights=weights[counted])
+    by_even = even.linearized.leave_out_ends().errors
+    return np.asarray(np.linalg.norm(by_even, axis=1) - np.linalg.norm(averaged, axis=1))
 
 
 def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
