@@ -27,8 +27,8 @@ class IdentificationStatus(StrEnum):
 
     LEARNED = "learned"
     PRIOR_KEPT = "prior_kept"
-    """The pushes do not speak against uniform friction: the model predicts them no better than an
-    even object would."""
+    """The pushes do not speak clearly against uniform friction: an even object explains them best,
+    or the model predicts pushes left out no better than it by more than one standard error."""
     BUDGET_SPENT = "budget_spent"
     """A search had to end before it was done."""
     EXPLAINS_LITTLE = "explains_little"

@@ -18,8 +18,8 @@ MAX_NAMED = 8
 
 FIT_ENDS = {
     IdentificationStatus.LEARNED: "Learned from the pushes.",
-    IdentificationStatus.PRIOR_KEPT: "The pushes are explained best by an almost even object; only "
-    "the contact friction was fitted freely.",
+    IdentificationStatus.PRIOR_KEPT: "The pushes do not show that the object is other than even: "
+    "an almost even object explains them best, or predicts pushes left out about as well.",
     IdentificationStatus.NO_DATA: "The pusher never touched the object: nothing was learned, this "
     "is the prior.",
 }

@@ -7,6 +7,7 @@ import pytest
 from gridpush_drake.bench.data.real_logs import find_push_logs, name_logs, simulate_log
 from gridpush_drake.bench.real import (
     CENTER_MODEL,
+    CMU_TEST,
     FEET_SETS,
     POSES_MODEL,
     STUDY,
@@ -17,8 +18,13 @@ from gridpush_drake.bench.real import (
     run_job,
 )
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.model_check import calc_training_errors
+from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.jobs.run import Execution
 from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.pushes.importers import find_importer
 from tests.helpers.shared_data import shared_data
 
 # What is promised of the mean over the four feet sets, mm.
@@ -35,6 +41,20 @@ def test_one_split_of_real_pushes_is_learned_and_scored() -> None:
     assert set(by_model) == {UNIFORM_PRESSURE, POSES_MODEL, CENTER_MODEL}
     assert all(len(errors) == 25 for errors in by_model.values())
     assert by_model[CENTER_MODEL].mean() < 0.75 * by_model[UNIFORM_PRESSURE].mean()
+
+
+def test_a_model_that_predicts_pushes_left_out_like_an_even_object_is_not_called_learned() -> None:
+    log, obj = find_importer("cmu")().read(shared_data("cmu_pushes", "plywood_middle.txt"))
+    for split in (0, 4):
+        order = np.random.default_rng([0, split]).permutation(len(log))
+        held_out = log.subset(order[:CMU_TEST])
+        found = identify(Model(obj), log.subset(order[CMU_TEST:][:5]))
+
+        # Nearer than an even object to the pushes that it was learned from, and farther from others.
+        before, after = calc_training_errors(found, log)
+        assert after < 0.7 * before
+        assert calc_mean_cell_error(found, held_out) > calc_mean_cell_error(Model(obj), held_out)
+        assert found.status == "prior_kept"
 
 
 def test_held_out_pushes_do_not_depend_on_the_training_count() -> None:

@@ -51,6 +51,10 @@ HOPELESS_EVIDENCE_GAP = 30.0
 """A fit whose log evidence is this far below the best one is not carried to its end, and is not
 asked for predictions: it counts as predicting no better than any other."""
 
+MIN_CHECKED_PUSHES = 3
+"""Least number of pushes at which predictions of pushes left out decide whether anything was
+learned. How much such predictions scatter is not known from fewer."""
+
 NEGLIGIBLE_WEIGHT = 1e-3
 """Fits whose weight without that of the prior is below this do not count for the spread."""
 
@@ -169,7 +173,7 @@ def average_fits(
         prior_covariance=wider**2 * prior_covariance,
         noise_std=scaled.pose,
         load_shift_std=scaled.load_shift,
-        status=_find_status(candidates[best].prior),
+        status=_find_status(candidates, weights),
         starts=tuple(FitStart(one.fit.z, one.fit.scale, one.name) for one in candidates),
         best=fits[best],
         interval_scale=kappa / wider,
@@ -310,10 +314,55 @@ class _AveragedGroup:
     on_grid: bool
 
 
-def _find_status(best: LoadPrior) -> IdentificationStatus:
-    """Tells the status by the most probable prior."""
-    even = best.stands_for_even
-    return IdentificationStatus.PRIOR_KEPT if even else IdentificationStatus.LEARNED
+def _find_status(candidates: list[Candidate], weights: Array) -> IdentificationStatus:
+    """Tells whether anything was learned.
+
+    Args:
+        candidates: the priors with their fits.
+        weights: (a,) weights in the mean.
+
+    Returns:
+        "prior_kept" if an even object is the most probable, or if pushes left out are not predicted
+        better than by it by more than one standard error.
+    """
+    kept = candidates[int(np.argmax(weights))].prior.stands_for_even
+    gains = _calc_predictive_gains(candidates, weights)
+    if gains is not None and len(gains) >= MIN_CHECKED_PUSHES:
+        standard_error = gains.std(ddof=1) / np.sqrt(len(gains))
+        kept = kept or bool(gains.mean() <= standard_error)
+    return IdentificationStatus.PRIOR_KEPT if kept else IdentificationStatus.LEARNED
+
+
+def _calc_predictive_gains(candidates: list[Candidate], weights: Array) -> Array | None:
+    """Calculates how much nearer pushes left out are predicted by the average than by an even fit.
+
+    Args:
+        candidates: the priors with their fits.
+        weights: (a,) weights in the mean.
+
+    Returns:
+        (P,) distance of each push's end from the even fit's prediction, less that from the
+        average's, m; None if no fit stands for an even object, or the evidence is clearly against
+        it.
+    """
+    hopeless = max(one.shared_log_evidence for one in candidates) - HOPELESS_EVIDENCE_GAP
+    even = next(
+        (
+            one.fit
+            for one in candidates
+            if one.prior.stands_for_even and one.shared_log_evidence > hopeless
+        ),
+        None,
+    )
+    if even is None:
+        return None
+
+    # Residuals are linear in the loads, so that those of the average are averages.
+    counted = np.flatnonzero(weights > NEGLIGIBLE_WEIGHT)
+    errors = [candidates[i].fit.linearized.leave_out_ends().errors for i in counted]
+    averaged = np.average(errors, axis=0, weights=weights[counted])
+    by_even = even.linearized.leave_out_ends().errors
+    return np.asarray(np.linalg.norm(by_even, axis=1) - np.linalg.norm(averaged, axis=1))
 
 
 def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
