@@ -286,7 +286,7 @@ def _group(
         groups.append(_AveragedGroup(z=z, weight=weight, members=on_grid, on_grid=True))
     for i in elsewhere:
         one = candidates[i]
-        z = _move_center(problem.obj.p_BC, one.fit.z, one.prior.p_BC)
+        z = move_center(problem.obj.p_BC, one.fit.z, one.prior.p_BC)
         groups.append(
             _AveragedGroup(z=z, weight=float(weights[i]), members=np.array([i]), on_grid=False)
         )
@@ -316,7 +316,7 @@ def _find_status(best: LoadPrior) -> IdentificationStatus:
     return IdentificationStatus.PRIOR_KEPT if even else IdentificationStatus.LEARNED
 
 
-def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
+def move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
     """Carries loads at given points over to the cells, so that their center stays where it is.
 
     The loads are tilted, exponentially along a direction b: x_i exp(b . arm_i). Newton's method
