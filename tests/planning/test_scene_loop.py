@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.bodies import describe_object
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.identification.fit.hypotheses import SmoothField
 from gridpush_drake.identification.learning import identify
@@ -23,7 +24,7 @@ from gridpush_drake.planning.robot_status import (
 )
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.joint_loop import STILL_WORLD, JointLoop, SceneMode
-from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision
+from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision, SceneLearning
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shapes import make_shape
 from tests.helpers.two_blocks import NOISE, make_truth, push_scene
@@ -211,3 +212,13 @@ def test_an_object_that_surprises_clearly_is_learned_anew_at_once():
         assert now.status.innovations == int(changed)
         assert now.status.surprise.startswith("block 1: It ended ") is changed
         assert [one.is_changed for one in now.object_innovations] == [False, changed]
+
+
+def test_objects_are_learned_by_the_physics_that_they_are_believed_to_obey():
+    truth = make_truth()
+    physics = Physics(spin="none")
+    belief = SceneBelief.of_prior(truth.objects, draws=1, physics=physics)
+    assert all(bodies.physics == physics for bodies in (belief.bodies, *belief.draws))
+    learning = SceneLearning(after=(1,), hypotheses=(SmoothField(0.7),))
+    learned = learning.learn(belief, [push_scene(truth, 0)], 0)
+    assert learned.bodies.physics.spin == "none" and learned.identification is not None
