@@ -90,11 +90,12 @@ from tests.dynamics.scene.test_sensitivity import STEPS, check_scene
 from tests.helpers.scene_cases import SceneCase, make_row
 from tests.helpers.shapes import SHAPES
 
-for seed in range(2):
+for seed in (2, 3):
     scene, through = make_row(seed, np.random.default_rng(seed).permutation(list(SHAPES))[:2], cells=8)
     case = SceneCase(scene, through, STEPS, law="ribbed")
-    assert case.result.status == "ok" and (case.result.contact_bodies[:, :, 1] == 0).any()
-    assert check_scene(case, seed) <= len(case.blocks()) // 3
+    between = case.result.contact_bodies[:, :, 1] >= 0
+    assert case.result.status == "ok" and (case.result.modes[between] != 0).any()
+    assert check_scene(case, seed) == 0
 
 
 def see_both(i):

@@ -127,7 +127,7 @@ class SceneLearning:
     Attributes:
         after: numbers of pushes after which the objects are learned anew.
         hypotheses: how each object may bear on the table. With more than smooth fields, learning
-            takes two to three times as long.
+            takes three to four times as long.
         noise: standard deviations of the poses about their predictions, m, m and rad.
         min_move: least distance by which a pose must change in a push for it to tell something, m.
 
