@@ -174,6 +174,17 @@ class Motion:
         """(3,) the last pose; (N, 3) of several objects."""
         return self.poses[-1]
 
+    def calc_net_forces(self) -> Array:
+        """Calculates the force (T, N, 2) of all contacts on each of N objects, N; N may be 1."""
+        if self.contact_bodies is None:
+            return self.contact_forces.sum(axis=1)[:, None]
+        first, second = np.moveaxis(self.contact_bodies, 2, 0)
+        bodies = np.arange(self.poses.shape[1])
+        # each contact's force acts on the first body, and the other way round on the second
+        sign = (first[..., None] == bodies).astype(float) - (second[..., None] == bodies)
+        forces = np.where(first[..., None] >= 0, self.contact_forces, 0.0)
+        return np.asarray(np.einsum("tcb,tcd->tbd", sign, forces))
+
     @property
     def penetration(self) -> float:
         """Deepest overlap of pusher and outline, or of two objects, m."""

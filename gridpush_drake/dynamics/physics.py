@@ -139,6 +139,24 @@ class Physics:
         """Fraction of a step after which it looks at the body; 0.5 by the midpoint rule."""
         return MIDPOINT_FRACTION if self.law.looks_ahead else 0.0
 
+    def check_gradients(self, gradients: bool | str, asked: bool | str) -> None:
+        """Refuses gradients that the friction law does not have.
+
+        Args:
+            gradients: the value of `simulate`'s argument that the law must know.
+            asked: the value that was given.
+
+        Raises:
+            SimulationError: the law does not know them.
+        """
+        known = self.law.gradients
+        if gradients not in known:
+            words = ", ".join(map(repr, known))
+            raise SimulationError(
+                f"gradients is {asked!r}; "
+                f"with friction_law={self.friction_law!r} expected one of {words}"
+            )
+
     def with_regime(self, regime: Regime | None) -> "Physics":
         """Replaces the regime; None leaves it as it is."""
         return self if regime is None else replace(self, regime=regime)

@@ -32,6 +32,7 @@ from gridpush_drake.dynamics.motion import (
     MotionStatus,
     RawJacobian,
 )
+from gridpush_drake.dynamics.one_object import refuse_several
 from gridpush_drake.dynamics.physics import (
     Physics,
     Regime,
@@ -115,9 +116,9 @@ def simulate(
     """Simulates one push of a grid object, or of several that push each other.
 
     The model is in `docs/theory/model.md`: of one object in sections 3 to 6 and 8, of several in
-    section 9. What several objects do not know yet is refused: the inertial regime (so pushes by a
-    force and a `velocity`), loads that shift (a `push_height`, a `table`), friction laws other than
-    "isotropic", and parts of the Jacobian by themselves.
+    section 9. What holds for one object alone is refused (`one_object`): the inertial regime (so
+    pushes by a force and a `velocity`), loads that shift (a `push_height`, a `table`), and parts of
+    the Jacobian by themselves.
 
     A step is implicit in the velocities. It sees contact and directions as they are expected
     halfway through it (the midpoint rule), except with lagged friction, which as in the paper's LCP
@@ -213,22 +214,16 @@ def _check_several(
     velocity: ArrayLike,
     table: ArrayLike | None,
 ) -> Array:
-    """Refuses what several objects do not know, but for what their physics says; see `simulate`.
+    """Refuses what is for one object alone, but for what their physics says; see `simulate`.
 
     Returns:
         (N, 3) the poses.
     """
     n = len(bodies)
-    refused = (
-        (isinstance(push, ForcePush), "push: is a ForcePush; expected a Push", "have no momentum"),
-        (np.any(velocity), "velocity: expected (0, 0, 0)", "have no momentum"),
-        (table is not None, "table: expected None", "bear their own weight"),
-        (gradients not in (False, True), f"gradients is {gradients!r}; expected True or False", ""),
-    )
-    for wrong, words, why in refused:
-        if wrong:
-            reason = f": several objects {why}" if why else ", of several objects"
-            raise SimulationError(f"{words}{reason}")
+    refuse_several(SimulationError, "push by a force", isinstance(push, ForcePush))
+    refuse_several(SimulationError, "velocity", np.any(velocity))
+    refuse_several(SimulationError, "table", table is not None)
+    refuse_several(SimulationError, "gradients", gradients not in (False, True))
     poses = np.array(pose, dtype=np.float64)
     if poses.shape != (n, 3) or not np.isfinite(poses).all():
         raise SimulationError(
@@ -507,13 +502,7 @@ def _check_combination(
         if nu.any():
             raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
         check_friction(physics, bodies.params)
-    known = physics.law.gradients
-    if (True if gradients in EXACT_GRADIENTS else gradients) not in known:
-        words = ", ".join(map(repr, known))
-        raise SimulationError(
-            f"gradients is {gradients!r}; "
-            f"with friction_law={physics.friction_law!r} expected one of {words}"
-        )
+    physics.check_gradients(True if gradients in EXACT_GRADIENTS else gradients, gradients)
 
 
 def check_friction(physics: Physics, params: CellParameters) -> None:

@@ -19,7 +19,8 @@ from .methods import METHOD_NAMES as METHOD_NAMES
 from .model import Model as Model
 from .model_file import read_model as read_model
 from .model_file import write_model as write_model
-from .multi_object.joint_fit import JointSmoothFields as JointSmoothFields
+from .multi_object.joint_fit import JOINT_HYPOTHESES as JOINT_HYPOTHESES
+from .multi_object.joint_fit import JointEnsemble as JointEnsemble
 from .multi_object.joint_result import JointIdentification as JointIdentification
 from .prediction import predict as predict
 from .result import HypothesisEvidence as HypothesisEvidence

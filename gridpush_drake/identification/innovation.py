@@ -15,6 +15,9 @@ by centimeters. So a push that ended outside of the region is simulated again by
 is uncertain of model, pusher and pose. If some of them end outside of the region, too, and where
 the push did, as nearly as poses are seen, it is no surprise.
 
+Of several objects each is judged by itself, by its part of what was learned of all together,
+wherever it moved or was to move.
+
 A model that has learned from pushes which contradict each other explains them all by noise, and
 nothing surprises it any more. So after a surprise, if the newer model has become much vaguer, the
 model as it was before the surprise remains the judge.
@@ -24,15 +27,25 @@ counts them, closed loops (`planning.closed_loop`) act on the count, and learner
 was seen before. Theory: `docs/theory/identification.md`, section 13.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
+from gridpush_drake.identification.multi_object.joint_problem import JointProblem, find_moved
+from gridpush_drake.identification.multi_object.joint_result import JointIdentification
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.identification.spread import calc_end_covariance, calc_end_quantile
+from gridpush_drake.identification.spread import (
+    calc_end_covariance,
+    calc_end_quantile,
+    calc_norm_quantile,
+)
 from gridpush_drake.identification.statistics.friction_gradient import draw_gradients
-from gridpush_drake.identification.statistics.problem import PushProblem
+from gridpush_drake.identification.statistics.noise import NoiseModel
+from gridpush_drake.identification.statistics.problem import PushProblem, TimedPush
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.units import MM_PER_M
 
@@ -106,8 +119,29 @@ class Judgment:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class _EndForecast:
+    """Where a model puts the end of a push, beside where it ended.
+
+    Attributes:
+        residual: (3,) of the end, m.
+        calc_quantile: the distance that such a push keeps from its predicted end with some
+            probability, m.
+        near: how far off a pose may be seen, m, with the probability that is no surprise.
+        draw: simulates the push by draws of what is uncertain; residuals (INNOVATION_DRAWS, 3), m.
+    """
+
+    residual: Array
+    calc_quantile: Callable[[float], float]
+    near: float
+    draw: Callable[[], Array]
+
+
 def check_innovation(
-    model: Identification, seen: ObservedPush, table: Array | None = None
+    model: Identification | JointIdentification,
+    seen: ObservedPush,
+    table: Array | None = None,
+    body: int = 0,
 ) -> Judgment | None:
     """Judges a push by what the model said of it beforehand.
 
@@ -115,35 +149,113 @@ def check_innovation(
         model: what was learned from pushes before this one.
         seen: the push.
         table: (K, 2) corners in W of the table's top, m, if loads shift at its edge.
+        body: number of the object that is judged, of several.
 
     Returns:
         The judgment; None where next to nothing was learned before the push, or where its end
-        cannot be judged: it was not seen, or the object hung over an edge that is not known.
+        cannot be judged: it was not seen, or the object hung over an edge that is not known, or it
+        is one of several that neither moved nor was to move.
     """
     unknown_edge = seen.overhang and table is None
-    knows_little = len(model.push_names) < MIN_LEARNED
-    if knows_little or not len(seen.t_observed) or unknown_edge:
+    if unknown_edge or not len(seen.t_observed):
         return None
-
     # Only the last pose counts: it is what plans are made of.
     end = replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
+    if isinstance(model, JointIdentification):
+        forecast = _forecast_one_of_several(model, end, body)
+    else:
+        forecast = _forecast(model, end, table)
+    if forecast is None:
+        return None
+    judgment = Judgment(
+        push=seen.name,
+        distance=float(np.linalg.norm(forecast.residual)),
+        limit=forecast.calc_quantile(EXPECTED_PROBABILITY),
+        clear_limit=forecast.calc_quantile(HARDLY_CHANCE),
+    )
+    if not judgment.innovations:
+        return judgment
+    drawn = forecast.draw()
+    outside = np.linalg.norm(drawn - forecast.residual, axis=1) > judgment.limit
+    near = np.linalg.norm(drawn, axis=1) <= forecast.near
+    return replace(judgment, drawn=float(np.mean(outside & near)) >= ENOUGH_DRAWS)
+
+
+def _forecast(model: Identification, end: ObservedPush, table: Array | None) -> _EndForecast | None:
+    """Predicts a push of one object, with its last pose alone; see `check_innovation`."""
+    if len(model.push_names) < MIN_LEARNED:
+        return None
     problem = PushProblem(model.obj, PushLog((end,), table=table), model.params, model.physics)
     linear = problem.linearize(model.posterior.mean)
     covariance = calc_end_covariance(
         model, linear.by_z[0], linear.by_inputs[0], least_scale=LEAST_SCALE
     )
-    judgment = Judgment(
-        push=seen.name,
-        distance=float(np.linalg.norm(linear.residuals[0])),
-        limit=calc_end_quantile(model, covariance, EXPECTED_PROBABILITY),
-        clear_limit=calc_end_quantile(model, covariance, HARDLY_CHANCE),
+    return _EndForecast(
+        residual=linear.residuals[0],
+        calc_quantile=partial(calc_end_quantile, model, covariance),
+        near=_calc_near(model),
+        draw=partial(_draw_ends, model, end, table),
     )
-    if not judgment.innovations:
-        return judgment
-    drawn = _draw_ends(model, end, table)
-    outside = np.linalg.norm(drawn - linear.residuals[0], axis=1) > judgment.limit
-    near = np.linalg.norm(drawn, axis=1) <= _calc_near(model)
-    return replace(judgment, drawn=float(np.mean(outside & near)) >= ENOUGH_DRAWS)
+
+
+def _forecast_one_of_several(
+    model: JointIdentification, end: ObservedPush, body: int
+) -> _EndForecast | None:
+    """Predicts one of several objects in a push, with their last poses alone."""
+    pushes = int(model.moves[body])
+    if pushes < MIN_LEARNED:
+        return None
+    residuals, derivatives = JointProblem(model, (end,), np.ones(3)).linearize(model.z)
+    off = residuals[0].reshape(-1, 3)
+    awaited = replace(end, poses_observed=end.poses_observed + off)
+    if not (find_moved(end, model.noise) | find_moved(awaited, model.noise))[body]:
+        return None
+    # r = (dx_c, dy_c, rho dtheta), to first order T times how far the pose is off
+    obj = model.objects[body]
+    pose = awaited.final_pose[body]
+    x, y = rotate(pose[2], obj.p_BC.mean(axis=0))
+    T = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, obj.radius_of_gyration]])
+    J = T @ derivatives[0].reshape(len(off), 3, -1)[body]
+    std = T * (max(model.noise_scale, LEAST_SCALE) * np.asarray(model.noise))
+    noise = NoiseModel()
+    calc_quantile = partial(
+        _calc_quantile_of_several,
+        freedom=noise.calc_freedom(pushes),
+        typical=noise.calc_typical_fraction(pushes),
+    )
+    return _EndForecast(
+        residual=_calc_residual(obj, pose, end.final_pose[body]),
+        calc_quantile=partial(calc_quantile, J @ model.covariance @ J.T + std @ std.T),
+        near=calc_quantile(std @ std.T, EXPECTED_PROBABILITY),
+        draw=partial(_draw_ends_of_several, model, end, body),
+    )
+
+
+def _calc_quantile_of_several(
+    covariance: Array, probability: float, *, freedom: float, typical: float
+) -> float:
+    """Calculates a quantile of an end's distance, m, as `calc_end_quantile` does."""
+    return calc_norm_quantile(typical * covariance, freedom, probability)
+
+
+def _calc_residual(obj: GridObject, pose: Array, seen: Array) -> Array:
+    """Calculates the residual (3,), m, of a pose (3,) beside the one that was seen."""
+    centroid = obj.p_BC.mean(axis=0)
+    shift = pose[:2] + rotate(pose[2], centroid) - seen[:2] - rotate(seen[2], centroid)
+    return np.append(shift, obj.radius_of_gyration * wrap_angle(pose[2] - seen[2]))
+
+
+def _draw_ends_of_several(model: JointIdentification, end: ObservedPush, body: int) -> Array:
+    """Simulates a push of several objects by draws of model and poses; see `_draw_ends`."""
+    rng = np.random.default_rng(INNOVATION_DRAWS)
+    std = max(model.noise_scale, LEAST_SCALE) * np.asarray(model.noise)
+    ends = []
+    for drawn in model.draws(INNOVATION_DRAWS, INNOVATION_DRAWS):
+        shift = std * rng.standard_normal(end.pose.shape)
+        timed = TimedPush.of(replace(end, pose=end.pose + shift), "quasi_static")
+        pose = timed.simulate(drawn).poses[timed.rows[-1], body]
+        ends.append(_calc_residual(model.objects[body], pose, end.final_pose[body]))
+    return np.array(ends)
 
 
 def _draw_ends(model: Identification, end: ObservedPush, table: Array | None) -> Array:
@@ -194,20 +306,24 @@ class InnovationRecord:
         forgotten: number of pushes, the first ones of the log, that are not learned from any more.
         trusted: what was learned before the first of the last surprises in a row; None where the
             last push was no surprise.
+        body: number of the object that is judged, of several.
     """
 
     total: int = 0
     in_row: int = 0
     last: Judgment | None = None
     forgotten: int = 0
-    trusted: Identification | None = None
+    trusted: Identification | JointIdentification | None = None
+    body: int = 0
 
     @property
     def is_changed(self) -> bool:
         """Whether the last push says that the object is another one than was learned."""
         return self.last is not None and (self.last.is_clear or self.in_row >= FORGET_AFTER)
 
-    def note(self, model: Identification | None, log: PushLog) -> "InnovationRecord":
+    def note(
+        self, model: Identification | JointIdentification | None, log: PushLog
+    ) -> "InnovationRecord":
         """The record with the last push of a log judged; itself where it cannot be judged.
 
         Args:
@@ -232,14 +348,16 @@ class InnovationRecord:
             noted = replace(noted, forgotten=len(log) - noted.in_row)
         return noted
 
-    def _judge(self, model: Identification | None, log: PushLog) -> Judgment | None:
+    def _judge(
+        self, model: Identification | JointIdentification | None, log: PushLog
+    ) -> Judgment | None:
         """Judges the last push of a log by the model, or by the trusted one if that says more."""
         if model is None or not len(log):
             return None
-        judgment = check_innovation(model, log[-1], log.table)
+        judgment = check_innovation(model, log[-1], log.table, self.body)
         if self.trusted is None or judgment is None:
             return judgment
-        trusted = check_innovation(self.trusted, log[-1], log.table)
+        trusted = check_innovation(self.trusted, log[-1], log.table, self.body)
         if trusted is not None and judgment.limit > MUCH_VAGUER * trusted.limit:
             return trusted
         return judgment
@@ -247,3 +365,25 @@ class InnovationRecord:
     def select(self, log: PushLog) -> PushLog:
         """Selects the pushes of a log that may be learned from; itself if nothing is forgotten."""
         return log[self.forgotten :] if self.forgotten else log
+
+
+def select_unchanged(
+    records: Sequence[InnovationRecord],
+    pushes: Sequence[ObservedPush],
+    noise: tuple[float, float, float],
+) -> tuple[ObservedPush, ...]:
+    """Selects the pushes of several objects that may be learned from.
+
+    A push tells nothing true any more where it moved an object that has changed since.
+
+    Args:
+        records: what surprises there were, of each object.
+        pushes: all pushes so far.
+        noise: standard deviations of poses, m, m and rad.
+    """
+    kept = []
+    for i, seen in enumerate(pushes):
+        stale = [record.body for record in records if i < record.forgotten]
+        if not (stale and find_moved(seen, noise)[stale].any()):
+            kept.append(seen)
+    return tuple(kept)

@@ -5,15 +5,16 @@ as well. What a method can do it says itself; what is asked of it and it cannot 
 `screening`.
 """
 
+from gridpush_drake.dynamics.one_object import refuse_several
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.baselines.methods import SEARCH_METHODS
 from gridpush_drake.identification.baselines.search_learner import SearchLearner
 from gridpush_drake.identification.fit.learning_task import LearningMethod
 from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
-from gridpush_drake.identification.multi_object.joint_fit import JointSmoothFields
+from gridpush_drake.identification.multi_object.joint_fit import JointEnsemble
 
 LEARNING_METHODS: dict[str, tuple[LearningMethod, ...]] = {
-    "default": (MapEnsemble(), JointSmoothFields()),
+    "default": (MapEnsemble(), JointEnsemble()),
     **{name: (SearchLearner(name, search),) for name, search in SEARCH_METHODS.items()},
 }
 """The methods by name; the first of each is that for one object."""
@@ -38,14 +39,5 @@ def find_method(method: str | LearningMethod, several: bool = False) -> Learning
             f"method is {method!r}; expected one of {', '.join(METHOD_NAMES)}"
         )
     able = [one for one in named if one.abilities.takes_several or not several]
-    if not able:
-        raise IdentificationError(describe_one_alone("method"))
+    refuse_several(IdentificationError, "method", not able)
     return able[0]
-
-
-def describe_one_alone(name: str) -> str:
-    """Says of an argument that it is for one object."""
-    return (
-        f"{name}: is for one object; several are learned from slow pushes alone, by the default "
-        "method"
-    )

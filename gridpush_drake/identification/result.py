@@ -80,13 +80,14 @@ class HypothesisEvidence:
         name: name of the hypothesis, with a number where it stands for several priors.
         log_evidence: log evidence, less that of the best one.
         log_predictive: log density that it gives to the end of each push by what it learns from the
-            others, of all pushes, less that of the best one.
+            others, of all pushes, less that of the best one; None of several objects, which are
+            weighed by evidence alone.
         weight: fraction of the estimate that comes from it, between 0 and 1.
     """
 
     name: str
     log_evidence: float
-    log_predictive: float
+    log_predictive: float | None
     weight: float
 
 

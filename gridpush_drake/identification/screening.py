@@ -11,10 +11,11 @@ from numbers import Integral
 
 import numpy as np
 
-from gridpush_drake.dynamics.physics import Regime
+from gridpush_drake.dynamics.one_object import refuse_several
+from gridpush_drake.dynamics.physics import Physics, Regime
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.fit.learning_task import LearningMethod, LearningTask
-from gridpush_drake.identification.methods import LEARNING_METHODS, describe_one_alone, find_method
+from gridpush_drake.identification.methods import LEARNING_METHODS, find_method
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.multi_object.joint_result import JointIdentification
 from gridpush_drake.identification.result import Identification, Progress
@@ -58,15 +59,12 @@ def screen(
     if not (isinstance(seed, Integral) and seed >= 0):
         raise IdentificationError(f"seed is {seed}; expected a whole number, 0 or more")
     if chosen.abilities.takes_several:
-        one_alone = {
-            "regime": asked.regime == "inertial",
-            "budget": budget is not None,
-            "friction": friction is not None,
-            "start": start is not None and len(start) != len(model),
-            "weighings": bool(weighings),
-        }
-        for name in (name for name, given in one_alone.items() if given):
-            raise IdentificationError(describe_one_alone(name))
+        refuse_several(IdentificationError, "regime", asked.regime == "inertial")
+        refuse_several(IdentificationError, "budget", budget is not None)
+        refuse_several(IdentificationError, "friction", friction is not None)
+        refuse_several(IdentificationError, "weighings", weighings)
+        refuse_several(IdentificationError, "keep", keep)
+        _refuse_without_gradients(chosen, asked)
         screened = _check_joint_log(model, log)
         physics = asked.with_regime("quasi_static")
     else:
@@ -100,6 +98,20 @@ def _refuse_unable(
         raise IdentificationError("start: is of several objects; expected what was learned of one")
     obj = model.obj
     physics = model.physics
+    _refuse_without_gradients(method, physics)
+    if friction is not None and not method.abilities.holds_friction:
+        raise IdentificationError(
+            f"friction: the method {method.name} cannot hold it; expected a method that can, such "
+            "as default"
+        )
+    if start is not None and start.obj.n != obj.n:
+        raise IdentificationError(
+            f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has"
+        )
+
+
+def _refuse_without_gradients(method: LearningMethod, physics: Physics) -> None:
+    """Raises IdentificationError: the friction law lacks the gradients that a method needs."""
     if method.abilities.needs_gradients and True not in physics.law.gradients:
         others = [
             name
@@ -110,15 +122,6 @@ def _refuse_unable(
             f"friction_law {physics.friction_law!r} has no exact gradients, which the "
             f"{method.name} method needs; expected another law, or one of the methods "
             f"{', '.join(others)}"
-        )
-    if friction is not None and not method.abilities.holds_friction:
-        raise IdentificationError(
-            f"friction: the method {method.name} cannot hold it; expected a method that can, such "
-            "as default"
-        )
-    if start is not None and start.obj.n != obj.n:
-        raise IdentificationError(
-            f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has"
         )
 
 

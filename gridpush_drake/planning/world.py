@@ -42,6 +42,7 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     X,
     follow_tip,
 )
+from gridpush_drake.dynamics.one_object import refuse_several
 from gridpush_drake.dynamics.physics import Regime
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.scene.simulation import simulate_together
@@ -469,8 +470,7 @@ class SimulatedWorld(TrackedWorld):
         Raises:
             PlanningError: there are several objects.
         """
-        if len(self.bodies) > 1:
-            raise PlanningError("steer: there are several objects; expected one")
+        refuse_several(PlanningError, "steer", len(self.bodies) > 1)
         model = self._models.get(radius)
         if model is None:
             obj, params = self.bodies.obj, self.bodies.params

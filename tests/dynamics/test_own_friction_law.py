@@ -74,6 +74,44 @@ core = model.simulate(same_push, times=times)
 assert system.physics == model.physics
 np.testing.assert_allclose(stepped, core.final_pose, atol=1e-9)
 
+# several objects: one far from the other moves as by itself, and so does its Jacobian
+apart = [[0.0, 0.0, 0.0], [0.4, 0.3, 1.0]]
+both = Model([obj, obj], [truth, truth], ribbed).simulate(push, apart, gradients=True)
+alone = Model(obj, truth, ribbed).simulate(push, gradients=True)
+np.testing.assert_allclose(both.poses[:, 0], alone.poses, rtol=0, atol=1e-9)
+np.testing.assert_array_equal(both.poses[:, 1] - apart[1], 0.0)
+slopes = alone.jacobian.mass
+np.testing.assert_allclose(
+    both.jacobian.mass[:, 0, :, : obj.n], slopes, rtol=1e-6, atol=1e-7 * np.abs(slopes).max()
+)
+
+# objects that push each other: exact gradients, and learned from pushes of both
+from tests.dynamics.scene.test_sensitivity import STEPS, check_scene
+from tests.helpers.scene_cases import SceneCase, make_row
+from tests.helpers.shapes import SHAPES
+
+for seed in (2, 3):
+    scene, through = make_row(seed, np.random.default_rng(seed).permutation(list(SHAPES))[:2], cells=8)
+    case = SceneCase(scene, through, STEPS, law="ribbed")
+    between = case.result.contact_bodies[:, :, 1] >= 0
+    assert case.result.status == "ok" and (case.result.modes[between] != 0).any()
+    assert check_scene(case, seed) == 0
+
+
+def see_both(i):
+    one = Push((-0.062, 0.02 * (-1) ** i - 0.004 * i), (0.02, 0.0), 2.5, 0.008)
+    begin = np.array([[0.0, 0.0, 0.0], [0.102, 0.01, 0.0]])
+    if i % 2:
+        begin[1, :2] = (0.2, 0.3)
+    moved = Model([obj, obj], [truth, truth], ribbed).simulate(one, begin)
+    return ObservedPush(f"push_{i}", one, begin, [one.duration], moved.poses[-1:])
+
+
+seen = PushLog(tuple(see_both(i) for i in range(4)), names=("one", "other"))
+learned = {law: identify(Model([obj, obj], physics=Physics(law)), seen) for law in ("ribbed", "isotropic")}
+assert learned["ribbed"].physics.friction_law == "ribbed"
+assert learned["ribbed"].errors.mean() < 0.5 * learned["isotropic"].errors.mean()
+
 # written and read, with the same bits
 assert same.physics == model.physics
 np.testing.assert_array_equal(same.params.mass, model.params.mass)
@@ -90,6 +128,7 @@ def test_it_goes_wherever_physics_go(tmp_path):
     (tmp_path / "ribbed_friction.py").write_text(law)
     (tmp_path / "try_it.py").write_text(BEGIN + use + END)
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    environment["PYTHONPATH"] = str(PAGE.parents[1])
     run = subprocess.run(
         [sys.executable, "try_it.py"],
         cwd=tmp_path,

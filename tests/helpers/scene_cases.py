@@ -77,11 +77,11 @@ def make_row(seed, shapes, cells=20):
 class SceneCase:
     """A push of a scene, as a function of everything that its poses depend on."""
 
-    def __init__(self, scene, push, steps, spin="coupled"):
+    def __init__(self, scene, push, steps, spin="coupled", law="isotropic"):
         self.scene = scene
         self.push = push
         self.times = np.linspace(0.0, push.duration, steps + 1)
-        self.physics = Physics(spin=spin)
+        self.physics = Physics(law, spin=spin)
         self.result = self.run(gradients=True)
         self.switched = False
 

@@ -13,7 +13,7 @@ from gridpush_drake.identification.fit.fit_average import (
     MapEnsembleFit,
     _average_fractions,
     _compare_fractions,
-    _move_center,
+    move_center,
 )
 from gridpush_drake.identification.fit.hypotheses import (
     CENTER_STD,
@@ -183,7 +183,7 @@ def test_loads_put_on_the_grid_keep_their_center() -> None:
     loads = obj.p_BC.copy()
     loads[cells] = places
     z = np.random.default_rng(2).normal(0, 0.5, obj.n + 1)
-    moved = _move_center(obj.p_BC, z, loads)
+    moved = move_center(obj.p_BC, z, loads)
     wanted = calc_fraction(z) @ loads
     before, after = (np.linalg.norm(calc_fraction(v) @ obj.p_BC - wanted) for v in (z, moved))
     assert before > 1e-4 and after < 0.05 * before and moved[-1] == z[-1]

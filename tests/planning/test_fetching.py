@@ -104,7 +104,7 @@ def test_all_objects_together_are_learned_from_pushes_on_the_table_alone():
     shown = []
 
     class Noting:
-        def learn(self, belief, pushes, seed, *, last=False):
+        def learn(self, belief, pushes, seed, *, last=False, anew=False):
             shown.append(([seen.name for seen in pushes], last))
 
     push = Push((0.25, 0.35), (0.0, -0.05), 1.5, 0.008)

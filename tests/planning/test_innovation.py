@@ -13,9 +13,16 @@ from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification import innovation as surprise
-from gridpush_drake.identification.innovation import InnovationRecord, Judgment, check_innovation
+from gridpush_drake.identification.fit.hypotheses import SmoothField
+from gridpush_drake.identification.innovation import (
+    InnovationRecord,
+    Judgment,
+    check_innovation,
+    select_unchanged,
+)
 from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.multi_object.joint_fit import JointEnsemble
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.identification.spread import predict_spread
 from gridpush_drake.identification.tilt_tests.weighed_model import believe_before
@@ -50,6 +57,8 @@ from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from tests.helpers.changing_world import ChangingEdgeWorld, ChangingWorld
 from tests.helpers.shapes import make_shape
+from tests.helpers.two_blocks import NOISE as TWO_NOISE
+from tests.helpers.two_blocks import make_truth, push_apart, push_scene
 from tests.identification.simulated_pokes import make_pokes
 
 NOISE = {"position_std": 5e-4, "angle_std": 3e-3}
@@ -610,3 +619,50 @@ def test_no_object_falls_whose_load_is_turned_when_it_comes_to_the_edge(seed) ->
     # The first push with the other load, or the next one, is noticed.
     assert run.state.innovations.total >= 1
     assert run.state.fallbacks >= 1
+
+
+def see_of_two(truth, seeds):
+    return [push_scene(truth, seed) for seed in seeds]
+
+
+def test_of_several_objects_the_one_that_changed_surprises():
+    truth = make_truth()
+    names = ("block 0", "block 1")
+    method = JointEnsemble(TWO_NOISE, (SmoothField(0.7),))
+    model = Model(truth.objects)
+    found = identify(model, PushLog(see_of_two(truth, range(5)), names=names), method)
+
+    # pushes of the same blocks do not surprise
+    same = see_of_two(truth, range(20, 32))
+    judged = [check_innovation(found, seen, body=b) for seen in same for b in range(2)]
+    assert None not in judged
+    assert sum(one.innovations for one in judged) <= 1
+
+    # the heavy end of the second block is now the other one
+    turned = truth.params[1].mass[::-1].copy()
+    params = [truth.params[0], replace(truth.params[1], mass=turned)]
+    changed = truth._replace(bodies=truth.bodies.with_params(*params))
+    records = [InnovationRecord(body=b) for b in range(2)]
+    apart = [push_apart(changed, seed) for seed in (1, 3, 2, 5)]
+    log = [*see_of_two(truth, range(5)), *apart]
+    for end in range(6, 10):
+        records = [one.note(found, PushLog(log[:end], names=names)) for one in records]
+    assert records[0].total == 0, "it was moved once, and as it was expected to be"
+    assert records[1].total >= 2 and records[1].forgotten >= 5
+    # what moved the second block before it changed is not learned from any more
+    kept = select_unchanged(records, log, TWO_NOISE)
+    assert [seen.name for seen in kept] == [seen.name for seen in log[records[1].forgotten :]]
+    again = identify(model, PushLog(kept, names=names), method)
+    center, old = (one.calc_center(1)[0][0] for one in (again, found))
+    assert old < -0.01 and center > 0.005
+
+
+def test_a_model_of_several_says_nothing_of_what_it_hardly_knows():
+    truth = make_truth()
+    log = PushLog([push_apart(truth, seed) for seed in (0, 2, 1)], names=("one", "other"))
+    found = identify(Model(truth.objects), log, JointEnsemble(TWO_NOISE, (SmoothField(0.7),)))
+    seen = push_scene(truth, 7)
+    assert found.moves.tolist() == [2, 1]
+    assert check_innovation(found, seen, body=0) is not None
+    assert check_innovation(found, seen, body=1) is None, "one push moved it"
+    assert check_innovation(found, push_apart(truth, 3), body=0) is None, "it lay still"

@@ -8,6 +8,7 @@ import pytest
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.identification.fit.hypotheses import SmoothField
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import SceneAction, SceneLearning
@@ -94,7 +95,7 @@ def test_an_object_without_a_goal_is_moved_out_of_one():
 def test_fine_goals_are_reached_after_learning():
     truth = make_truth(["square", "bar"], [(0, 0, 0), (0.4, -0.4, 0)], seed=3)
     options = replace(FINE_OPTIONS, search=QUICK)
-    learning = SceneLearning(after=(2,), amplitudes=(0.7,))
+    learning = SceneLearning(after=(2,), hypotheses=(SmoothField(0.7),))
     goals = [(0.12, 0.1, 1.0), (np.nan, np.nan, np.nan)]
     run, world, planner = rearrange(truth, goals, options, learning=learning)
     distance, turn = planner.calc_errors(world.truth.pose)
@@ -176,7 +177,7 @@ def test_draws_surround_what_was_learned():
     run, *_ = rearrange(
         truth,
         [(-0.1, 0.15, 0.8), (0.1, -0.2, 0.0)],
-        learning=SceneLearning(after=(2,), amplitudes=(0.7,)),
+        learning=SceneLearning(after=(2,), hypotheses=(SmoothField(0.7),)),
     )
     found = run.state.belief.identification
     assert len(run.state.belief.draws) > 0

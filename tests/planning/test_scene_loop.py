@@ -1,14 +1,20 @@
 """The loop that a robot's controller steps: it looks, decides, waits, learns, and gives up in time."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.bodies import describe_object
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.identification.fit.hypotheses import SmoothField
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.multi_object.joint_fit import JointEnsemble
 from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.robot_status import (
     GraspOutcome,
     GraspPhase,
@@ -17,10 +23,11 @@ from gridpush_drake.planning.robot_status import (
     PushStatus,
 )
 from gridpush_drake.planning.scene.belief import SceneBelief
-from gridpush_drake.planning.scene.joint_loop import JointLoop, SceneMode
-from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision
+from gridpush_drake.planning.scene.joint_loop import STILL_WORLD, JointLoop, SceneMode
+from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision, SceneLearning
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shapes import make_shape
+from tests.helpers.two_blocks import NOISE, make_truth, push_scene
 
 POSES = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 3.1]])
 PUSH = Push((-0.2, 0.0), (0.05, 0.0), 1.0, 0.008)
@@ -44,7 +51,7 @@ class Counting:
 
     asked: list = field(default_factory=list)
 
-    def learn(self, belief, pushes, seed, *, last=False):
+    def learn(self, belief, pushes, seed, *, last=False, anew=False):
         self.asked.append((len(pushes), last))
         return SceneBelief(belief.bodies)
 
@@ -179,3 +186,39 @@ def test_where_no_grasp_is_in_reach_it_says_so():
     without, _ = make_loop([decide(SceneAction.GRASP)])
     now = watch(without, without.begin(), POSES, PushStatus(), 0.0)
     assert now.status.mode is SceneMode.DONE
+
+
+def test_an_object_that_surprises_clearly_is_learned_anew_at_once():
+    """And what was learned of it alone is dropped, but not what was of the others."""
+    truth = make_truth()
+    log = PushLog([push_scene(truth, seed) for seed in range(3)], names=("one", "other"))
+    found = identify(Model(truth.objects), log, JointEnsemble(NOISE, (SmoothField(0.7),)))
+    alone = {b: UncertainModel.of_prior(truth.objects[b]) for b in range(2)}
+    belief = replace(SceneBelief.of_identification(found, draws=0), models=alone)
+    asked = []
+
+    class Noting:
+        def learn(self, belief, pushes, seed, *, last=False, anew=False):
+            asked.append((sorted(belief.models), [seen.name for seen in pushes], anew))
+
+    seen = push_scene(truth, 7)
+    for off, changed in ((0.0, False), (0.06, True)):
+        planner = Scripted([decide(SceneAction.PUSH, seen.push)] * 2)
+        loop = JointLoop(planner, belief, learning=Noting(), options=STILL_WORLD)
+        now = loop.step(loop.begin(), look(0.0, seen.pose, PushStatus()))
+        end = seen.final_pose + [[0.0, 0.0, 0.0], [off, 0.0, 0.0]]
+        now = loop.step(now, look(5.0, end, PushStatus(command_id=1, executed=1)))
+        assert asked.pop() == ([0] if changed else [0, 1], ["push_1"], changed)
+        assert now.status.innovations == int(changed)
+        assert now.status.surprise.startswith("block 1: It ended ") is changed
+        assert [one.is_changed for one in now.object_innovations] == [False, changed]
+
+
+def test_objects_are_learned_by_the_physics_that_they_are_believed_to_obey():
+    truth = make_truth()
+    physics = Physics(spin="none")
+    belief = SceneBelief.of_prior(truth.objects, draws=1, physics=physics)
+    assert all(bodies.physics == physics for bodies in (belief.bodies, *belief.draws))
+    learning = SceneLearning(after=(1,), hypotheses=(SmoothField(0.7),))
+    learned = learning.learn(belief, [push_scene(truth, 0)], 0)
+    assert learned.bodies.physics.spin == "none" and learned.identification is not None

@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import EventStatus
 
 from gridpush_drake.dynamics.physics import GRAVITY, QUASI_STATIC
-from gridpush_drake.identification.absolute.force_scale import _calc_scales
+from gridpush_drake.identification.absolute.force_scale import measure_pushes
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.statistics.problem import TimedPush
 from gridpush_drake.station.scene.contents import use_object
@@ -75,7 +75,8 @@ def test_what_the_finger_lifts_is_felt_and_does_not_count_as_friction():
     def tell(one):
         timed = TimedPush.of(one, "quasi_static")
         return (
-            _calc_scales(Model(station.obj, station.truth, QUASI_STATIC), [timed])[0][0] / friction
+            measure_pushes(Model(station.obj, station.truth, QUASI_STATIC), [timed]).scales[0]
+            / friction
         )
 
     assert abs(tell(seen) - 1.0) < 0.03

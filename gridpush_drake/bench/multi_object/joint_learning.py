@@ -22,7 +22,7 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.multi_object.joint_fit import JointSmoothFields, calc_end_errors
+from gridpush_drake.identification.multi_object.joint_fit import JointEnsemble, calc_end_errors
 from gridpush_drake.identification.multi_object.joint_result import JointIdentification
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.observed_push import ObservedPush
@@ -102,7 +102,7 @@ def run_learn_job(job: LearnJob) -> LearnScore:
         seen.append(_observe(f"push {i}", true, begin, push, job.world, noise, rng))
     names = tuple(f"object {b}" for b in range(job.count))
     log = PushLog(tuple(seen[:TRAINING]), names=names)
-    found = identify(Model(objects), log, JointSmoothFields(MODEL_NOISE[job.world]))
+    found = identify(Model(objects), log, JointEnsemble(MODEL_NOISE[job.world]))
     return LearnScore(
         count=job.count,
         world=job.world,

@@ -9,6 +9,7 @@ import typer
 from gridpush_drake.cli.learn.identify_scene import identify_together
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import count_noun, print_found, search_progress
+from gridpush_drake.dynamics.one_object import refuse_several
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.identification.learning import identify as learn
@@ -134,17 +135,13 @@ def identify(
         )
     if others:
         alone = {
-            "--weighings": weighings is not None,
-            "--method": not any(one.abilities.takes_several for one in LEARNING_METHODS[method]),
-            "--regime": regime == "inertial",
-            "--keep": bool(keep),
+            "weighings": weighings is not None,
+            "method": not any(one.abilities.takes_several for one in LEARNING_METHODS[method]),
+            "regime": regime == "inertial",
+            "keep": bool(keep),
         }
-        for option, given in alone.items():
-            if given:
-                raise options.OptionError(
-                    f"{option}: is for one object; several, with --with, are learned from slow "
-                    "pushes alone and by one method"
-                )
+        for name, given in alone.items():
+            refuse_several(options.OptionError, name, given, f"--{name}")
         identify_together([object_file, *others], pushes, out, report, largest_piece, force, json)
         return
     options.check_outputs(force, out, report, inputs=(object_file, pushes, weighings))

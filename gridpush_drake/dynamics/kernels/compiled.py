@@ -386,7 +386,7 @@ def hash_own_records(signature: Any) -> str:
     """Hashes the files that define records of the user's own among a function's arguments.
 
     Such a record is the data of a friction law: the machine code holds that law's functions, whose
-    file is not among the sources of this package.
+    file is not among the sources of this package. It may be a field of another record.
 
     Args:
         signature: the types of the arguments, or Numba's signature with them.
@@ -396,9 +396,8 @@ def hash_own_records(signature: Any) -> str:
         file has one that holds for this process only.
     """
     found = set()
-    for argument in getattr(signature, "args", signature):
-        record = numba_internals.get_record_class(argument)
-        if record is None or record.__module__.startswith(f"{__package__}."):
+    for record in numba_internals.list_record_classes(getattr(signature, "args", signature)):
+        if record.__module__.startswith(f"{__package__}."):
             continue
         file = getattr(sys.modules.get(record.__module__), "__file__", None)
         found.add(_THIS_PROCESS if file is None else calc_digest(Path(file)))

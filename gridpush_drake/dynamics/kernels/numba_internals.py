@@ -265,6 +265,16 @@ def get_record_class(numba_type: Any) -> type | None:
     return found
 
 
+def list_record_classes(numba_types: Sequence[Any]) -> set[type]:
+    """Lists the classes of the named tuples among types in Numba, and of those that these hold."""
+    found = set()
+    for each in numba_types:
+        record = get_record_class(each)
+        if record is not None:
+            found |= {record, *list_record_classes(tuple(each))}
+    return found
+
+
 def _import(name: str) -> Any:
     """Imports one of Numba's modules."""
     try:

@@ -10,6 +10,7 @@ import numpy as np
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.contact.contact import Edges
 from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
+from gridpush_drake.dynamics.kernels.scene.body_laws import copy_laws, join_laws
 from gridpush_drake.dynamics.kernels.scene.records import (
     CONTACT_SIZE,
     IDENTITY_SIZE,
@@ -37,17 +38,20 @@ def make_bodies(bodies: Bodies) -> BodyArrays:
     k = [params.friction * params.mass * physics.gravity for params in bodies.parameters]
     laws = [
         physics.law.make(loads, calc_spin_lever_arm(obj, params), physics.used_spin)
-        for (obj, params), loads in zip(bodies, k, strict=True)
+        for (obj, params), loads in zip(
+            [*bodies, *bodies.take([0])], [*k, k[0].copy()], strict=True
+        )
     ]
+    entries, places = join_laws(laws[:-1], laws[-1])
     # outlines for the pusher, cores for each other
     cores = [get_core(obj) for obj in bodies.objects]
     outlines = [obj.edges for obj in bodies.objects]
-    cells = np.concatenate([obj.p_BC for obj in bodies.objects])
     return BodyArrays(
         first_cell=_count_up([obj.n for obj in bodies.objects]),
-        cells=np.array(cells.T, order="C"),
-        k=np.concatenate(k),
-        spin=np.array([law.spin for law in laws]),
+        cells=np.concatenate([obj.p_BC.T.ravel() for obj in bodies.objects]),
+        cell_size=np.array([float(obj.cell_size) for obj in bodies.objects]),
+        laws=entries,
+        law_places=places,
         load=np.array([float(loads.sum()) for loads in k]),
         arm=np.array([float(obj.radius_of_gyration) for obj in bodies.objects]),
         reach=np.array([calc_outline_reach(obj) for obj in bodies.objects]),
@@ -141,7 +145,7 @@ def run_scene_kernel(
         ahead=physics.ahead, relative_stiction=float(physics.relative_stiction_tolerance)
     )
     rollout_scene(
-        bodies=bodies,
+        bodies=bodies._replace(laws=copy_laws(bodies.laws)),
         pusher=pusher,
         tolerances=tolerances,
         state=state,

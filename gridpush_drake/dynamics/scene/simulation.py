@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.bodies import Bodies, describe_object
-from gridpush_drake.dynamics.kernels.friction.isotropic_friction import ISOTROPIC_LAW
 from gridpush_drake.dynamics.kernels.scene.records import PusherPath, SceneSteps
 from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.motion import (
@@ -21,6 +20,7 @@ from gridpush_drake.dynamics.motion import (
     Motion,
     MotionStatus,
 )
+from gridpush_drake.dynamics.one_object import refuse_several
 from gridpush_drake.dynamics.push import (
     Push,
     check_record,
@@ -66,11 +66,12 @@ def simulate_together(
         The motion; its arrays have an axis for the objects, even where there is one.
 
     Raises:
-        SimulationError: an argument is out of range, or the physics asks for something that several
-            objects do not know.
+        SimulationError: an argument is out of range, or asks for something that is for one object
+            alone.
     """
     bodies = check_together(bodies)
     used = bodies.physics
+    used.check_gradients(gradients, gradients)
     n = len(bodies)
     # When the steps end, and which of their poses are differentiated.
     times = make_times(push, dt, used.regime) if times is None else check_times(times, False)
@@ -124,28 +125,18 @@ def simulate_together(
 
 
 def check_together(bodies: Bodies) -> Bodies:
-    """Refuses what several objects do not know, and makes the regime "auto" "quasi_static".
+    """Refuses what is for one object alone, and makes the regime "auto" "quasi_static".
 
     Raises:
-        SimulationError: names what it is, and what is expected.
+        SimulationError: names what it is; or an object has no friction with the support, or the
+            friction law does not know slow pushes.
     """
     physics = bodies.physics
-    if physics.regime == "inertial":
-        raise SimulationError(
-            "regime is 'inertial'; expected 'quasi_static': several objects have no momentum"
-        )
-    if physics.law is not ISOTROPIC_LAW:
-        raise SimulationError(
-            f"friction_law is {physics.friction_law!r}; expected 'isotropic', the one that several "
-            "objects know"
-        )
+    refuse_several(SimulationError, "regime", physics.regime == "inertial")
     for i, params in enumerate(bodies.parameters):
         name = describe_object(bodies.objects, i)
-        if params.push_height > 0:
-            raise SimulationError(
-                f"{name}: push_height is {params.push_height:g} m; expected 0: loads do not shift "
-                "where there are several objects"
-            )
+        asked = f"{name}: push_height"
+        refuse_several(SimulationError, "push_height", params.push_height > 0, asked)
         if params.friction @ params.mass * physics.gravity <= 0:
             raise SimulationError(
                 f"{name}: friction is zero; the quasi-static regime needs some friction with the "

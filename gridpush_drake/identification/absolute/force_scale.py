@@ -72,17 +72,37 @@ class _Felt:
 
     Attributes:
         model: (F, 2) simulated force on the object, over the whole friction.
+        taken: (F, N, 2) the part of it that each of N objects takes.
         seen: (F, 2) the measured one, N.
         lift: (F,) its upward part, N; 0 where it was not measured.
     """
 
     model: Array
+    taken: Array
     seen: Array
     lift: Array
 
     def take(self, chosen: NDArray[np.bool_]) -> "_Felt":
         """Takes some of the forces by a mask (F,)."""
-        return _Felt(self.model[chosen], self.seen[chosen], self.lift[chosen])
+        return _Felt(*[each[chosen] for each in (self.model, self.taken, self.seen, self.lift)])
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredPushes:
+    """How large the whole friction is by the forces of P pushes.
+
+    Attributes:
+        scales: (P,) K_p, N; NaN where none of the push's forces count, or the model has no force
+            while one was measured.
+        stds: (P,) standard deviations of K_p by the noise of single forces, N.
+        lifts: (P,) weight that the finger carried, on average, N: dK_p/dmu.
+        taken: (P, N) fraction of the force that each of N objects takes.
+    """
+
+    scales: Array
+    stds: Array
+    lifts: Array
+    taken: Array
 
 
 @dataclass(frozen=True)
@@ -177,21 +197,22 @@ def calc_force_scale(
 
     # Forces against the pusher's motion are wrong: of sign or frame. If as many are wrong as
     # right, none can be trusted.
-    scales, stds, lifts = _calc_scales(model, timed)
+    measured = measure_pushes(model, timed)
+    scales = measured.scales
     right = scales > 0
     against = int((np.isfinite(scales) & ~right).sum())
     if against >= right.sum():
         return None
-    mean, variance = _average(scales[right], stds[right])
+    mean, variance = _average(scales[right], measured.stds[right])
 
     # How much the weight rubs that the finger carried is not known: its friction is that of the
     # object, and an error of that is common to all pushes.
-    carried = float((model.obj.prior.friction_std * lifts[right].mean() / mean) ** 2)
+    carried = float((model.obj.prior.friction_std * measured.lifts[right].mean() / mean) ** 2)
 
     # An error of the normalized loads is common to all pushes, and does not average out.
     few = [one for one, use in zip(timed, right, strict=True) if use][:MAX_DRAWN_PUSHES]
     draws = posterior.draw_parameters(model.params, POSTERIOR_DRAWS, seed)
-    drawn = [_calc_scales(model.with_params(draw), few)[0] for draw in draws]
+    drawn = [measure_pushes(model.with_params(draw), few).scales for draw in draws]
     medians = [np.median(scales[scales > 0]) for scales in drawn if (scales > 0).any()]
     spread = float(np.var(np.log(medians))) if len(medians) > 1 else 0.0
     return ForceScale(
@@ -203,18 +224,18 @@ def calc_force_scale(
     )
 
 
-def _calc_scales(model: Model, pushes: Sequence[TimedPush]) -> tuple[Array, Array, Array]:
-    """Calculates K_p of each push, and how much of it the noise of the forces may be.
+def measure_pushes(model: Model, pushes: Sequence[TimedPush]) -> MeasuredPushes:
+    """Calculates K_p of pushes of one object or of several, and how much of it may be noise.
 
-    Returns:
-        K_p (P,), N; NaN where none of the push's forces count, or the model has no force while one
-        was measured. Its standard deviation (P,) by the noise of single forces, N. And the weight
-        (P,) that the finger carried, on average, N: dK_p/dmu.
+    Args:
+        model: the objects; K is that of all together.
+        pushes: the pushes, with forces.
     """
-    params = model.params
-    whole = model.physics.gravity * float(params.mass @ params.friction)
-    friction = float(params.mass @ params.friction) / params.total_mass
+    load = sum(float(params.mass @ params.friction) for params in model.parameters)
+    whole = model.physics.gravity * load
+    friction = load / model.total_mass
     scales = []
+    taken = []
     sizes = []
     lifts = []
     squares = 0.0
@@ -228,6 +249,8 @@ def _calc_scales(model: Model, pushes: Sequence[TimedPush]) -> tuple[Array, Arra
         scale = float((f * y).sum()) / size if size > 0 else np.nan
         scales.append(scale)
         sizes.append(size)
+        along = np.einsum("jd,jbd->b", f, felt.taken)
+        taken.append(along / size if size > 0 else np.zeros(len(along)))
         lifts.append(float(felt.lift @ (f * f).sum(axis=1)) / size if size > 0 else 0.0)
         # What is left of the forces is their noise, for which all pushes speak together.
         if size > 0:
@@ -236,7 +259,7 @@ def _calc_scales(model: Model, pushes: Sequence[TimedPush]) -> tuple[Array, Arra
     variance = squares / max(freedom, 1)
     with np.errstate(divide="ignore"):
         stds = np.sqrt(variance / np.array(sizes))
-    return np.array(scales), stds, np.array(lifts)
+    return MeasuredPushes(np.array(scales), stds, np.array(lifts), np.array(taken))
 
 
 def _choose_forces(
@@ -249,12 +272,14 @@ def _choose_forces(
     steady = []
     for one in pushes:
         motion = one.simulate(model, record=[])
-        force = motion.contact_forces.sum(axis=1) / whole
+        on_each = motion.calc_net_forces() / whole
+        # What objects exert on each other cancels.
+        force = on_each.sum(axis=1)
         seen = one.observed
         assert seen.force_t is not None and seen.force is not None
         lift = np.zeros(len(seen.force_t)) if seen.lift_force is None else seen.lift_force
         steps = _find_steps(one.times, seen.force_t, len(force))
-        felt.append(_Felt(force[steps], seen.force, lift))
+        felt.append(_Felt(force[steps], on_each[steps], seen.force, lift))
         steady.append(_find_steady(one, force))
     # A push that was too short to become steady says nothing, as it met the object or stopped all
     # of the time: its forces are too small. It is left out unless all are like that.

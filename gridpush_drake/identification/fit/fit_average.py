@@ -290,7 +290,7 @@ def _group(
         groups.append(_AveragedGroup(z=z, weight=weight, members=on_grid, on_grid=True))
     for i in elsewhere:
         one = candidates[i]
-        z = _move_center(problem.obj.p_BC, one.fit.z, one.prior.p_BC)
+        z = move_center(problem.obj.p_BC, one.fit.z, one.prior.p_BC)
         groups.append(
             _AveragedGroup(z=z, weight=float(weights[i]), members=np.array([i]), on_grid=False)
         )
@@ -365,7 +365,7 @@ def _calc_predictive_gains(candidates: list[Candidate], weights: Array) -> Array
     return np.asarray(np.linalg.norm(by_even, axis=1) - np.linalg.norm(averaged, axis=1))
 
 
-def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
+def move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
     """Carries loads at given points over to the cells, so that their center stays where it is.
 
     The loads are tilted, exponentially along a direction b: x_i exp(b . arm_i). Newton's method

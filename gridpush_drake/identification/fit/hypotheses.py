@@ -334,3 +334,19 @@ DEFAULT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
     Ring(),
 )
 """The hypotheses that `identify` weighs unless it is told others."""
+
+
+def check_names(hypotheses: Sequence[LoadHypothesis]) -> None:
+    """Raises IdentificationError: two hypotheses have the same name."""
+    names = [one.name for one in hypotheses]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise IdentificationError(
+            f"hypotheses: two are named {twice!r}; expected a name of its own for each"
+        )
+
+
+def sort_fields(hypotheses: Sequence[LoadHypothesis]) -> list[LoadHypothesis]:
+    """Sorts the smooth fields among hypotheses by increasing amplitude."""
+    fields = [one for one in hypotheses if one.field_amplitude is not None]
+    return sorted(fields, key=lambda one: one.field_amplitude or 0.0)

@@ -32,6 +32,8 @@ from gridpush_drake.identification.fit.hypotheses import (
     CENTER_STD,
     DEFAULT_HYPOTHESES,
     LoadHypothesis,
+    check_names,
+    sort_fields,
 )
 from gridpush_drake.identification.fit.learning_task import (
     Abilities,
@@ -101,12 +103,7 @@ class MapEnsemble:
             raise IdentificationError(
                 "hypotheses: expected at least one that needs no pushes, such as SmoothField(1.5)"
             )
-        names = [one.name for one in self.hypotheses]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise IdentificationError(
-                f"hypotheses: two are named {twice!r}; expected a name of its own for each"
-            )
+        check_names(self.hypotheses)
 
     def choose_patch_ratio(self, obj: GridObject) -> float:
         """On what part of its side a cell of the object bears its load."""
@@ -125,7 +122,7 @@ class MapEnsemble:
     @property
     def fields(self) -> list[LoadHypothesis]:
         """Smooth fields, by increasing amplitude; the shipped ones if the ensemble has none."""
-        return _sort_fields(self.hypotheses) or _sort_fields(DEFAULT_HYPOTHESES)
+        return sort_fields(self.hypotheses) or sort_fields(DEFAULT_HYPOTHESES)
 
     @property
     def widest(self) -> LoadHypothesis:
@@ -239,7 +236,7 @@ class MapEnsemble:
     ) -> MapFit:
         """Fits one smooth field of a middle amplitude alone, with the arguments of `fit`."""
         setting = HypothesisInputs(problem.obj, z0, log_contact_friction_std)
-        fields = _sort_fields(self.hypotheses) or [self.widest]
+        fields = sort_fields(self.hypotheses) or [self.widest]
         prior = min(fields, key=_calc_distance_to_middle).propose(setting)[0]
         return fit_map(
             problem,
@@ -279,7 +276,7 @@ class MapEnsemble:
         others = [
             one for one in self.hypotheses if one.field_amplitude is None and not one.needs_pushes
         ]
-        ordered = [*_sort_fields(self.hypotheses), *others]
+        ordered = [*sort_fields(self.hypotheses), *others]
         warm = {start.name: start for start in starts}
         candidates: list[Candidate] = []
         last: MapFit | None = None  # of the smooth field before
@@ -334,12 +331,6 @@ class MapEnsemble:
                 )
                 candidates.append(candidate)
         return candidates
-
-
-def _sort_fields(hypotheses: Sequence[LoadHypothesis]) -> list[LoadHypothesis]:
-    """Sorts the smooth fields among hypotheses by increasing amplitude."""
-    fields = [one for one in hypotheses if one.field_amplitude is not None]
-    return sorted(fields, key=lambda one: one.field_amplitude or 0.0)
 
 
 def _propose(hypothesis: LoadHypothesis, setting: HypothesisInputs) -> list[tuple[str, LoadPrior]]:

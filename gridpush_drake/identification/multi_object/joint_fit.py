@@ -1,4 +1,4 @@
-"""`JointSmoothFields`: the maps of several objects, and their friction, learned together.
+"""`JointEnsemble`: the maps of several objects, and their friction, learned together.
 
 Pushes in which one object pushes another tell of both: how the pushed one answers, and by how much
 it holds the other back. So all are learned in one: with z = (log k of every object's cells; log of
@@ -9,9 +9,11 @@ were seen, divided by their noise,
 
 with a block r_b for all objects at each time of each push. Poses that the model cannot explain
 count for little by rho (`robust_least_squares`), and their pushes are named in the result. The
-prior of an object's log k is a smooth field of amplitude a (`hypotheses.calc_smooth_covariance`)
-and one number more for the object as a whole: how heavy it is beside the others. Several amplitudes
-are fitted, coarse to fine, and the one of greatest evidence, by Laplace's approximation, is taken.
+prior of an object's log k is one that a load hypothesis proposes (`fit.hypotheses`), and one number
+more for the object as a whole: how heavy it is beside the others (`joint_prior`). First all objects
+have smooth fields of one amplitude. Several are fitted, coarse to fine, and the one of greatest
+evidence, by Laplace's approximation, is taken. Then the other hypotheses are weighed, object by
+object (`object_loads`).
 
 What pushes cannot tell: a factor that all k have in common, for slow pushes only weigh the objects
 against each other; and masses by themselves, as for one object (`docs/theory/model.md`, section 7).
@@ -19,69 +21,87 @@ The masses that are given stand for k_i = mu_i m_i g with the friction that the 
 Two objects that never pushed each other cannot be compared, either; `JointIdentification` says so.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.push import make_times_with
 from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.fit.hypotheses import AMPLITUDE_EXPONENT
+from gridpush_drake.identification.fit.hypotheses import (
+    DEFAULT_HYPOTHESES,
+    LoadHypothesis,
+    SmoothField,
+    check_names,
+    sort_fields,
+)
 from gridpush_drake.identification.fit.learning_task import Abilities, Found, LearningTask
-from gridpush_drake.identification.fit.load_prior import calc_smooth_covariance
-from gridpush_drake.identification.multi_object.joint_problem import JointProblem
+from gridpush_drake.identification.fit.load_prior import HypothesisInputs
+from gridpush_drake.identification.multi_object.joint_forces import learn_from_forces
+from gridpush_drake.identification.multi_object.joint_prior import (
+    FRICTION_STD,
+    JointFit,
+    JointPrior,
+    fit_fields,
+)
+from gridpush_drake.identification.multi_object.joint_problem import JointProblem, find_moved
 from gridpush_drake.identification.multi_object.joint_result import (
     METHOD,
     UNEXPLAINED,
     JointIdentification,
 )
+from gridpush_drake.identification.multi_object.object_loads import (
+    ObjectFits,
+    average_objects,
+    weigh_object,
+)
 from gridpush_drake.identification.prediction import calc_cell_errors
-from gridpush_drake.identification.statistics.robust_least_squares import RobustFit, fit_robustly
 from gridpush_drake.pushes.observed_push import ObservedPush
-from gridpush_drake.pushes.push_log import PushLog
 
 AMPLITUDES = (0.05, 0.3, 0.7, 1.5)
-"""Standard deviations of log k within an object that are tried."""
-
-TOTAL_STD = 1.0
-"""Standard deviation of the logarithm of an object's whole load beside the others'."""
-
-FRICTION_STD = 0.5
-"""Standard deviation of the logarithm of a contact's friction coefficient."""
+"""Standard deviations of log k within an object that are tried by default."""
 
 NOISE = (1e-3, 1e-3, 5e-3)
 """Standard deviations of what poses are off from their predictions, m, m and rad: those of seeing
 them, and those of the model."""
 
-MOVED = 4.0
-"""An object counts as moved where it was seen to end this many standard deviations of the noise
-from where it lay."""
+JOINT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
+    *(SmoothField(amplitude) for amplitude in AMPLITUDES),
+    *(each for each in DEFAULT_HYPOTHESES if each.field_amplitude is None),
+)
+"""The hypotheses that are weighed unless others are given: those of one object, but for smooth
+fields so uneven that several objects cannot be told apart by them."""
 
 
 @dataclass(frozen=True)
-class JointSmoothFields:
+class JointEnsemble:
     """The method by which several objects are learned together.
 
     Attributes:
         noise: standard deviations of the poses about their predictions, m, m and rad.
-        amplitudes: standard deviations of log k of the smooth fields that are tried, increasing.
+        hypotheses: how each of the objects may bear on the table; the names are unique. Smooth
+            fields have one amplitude for all objects; the others are weighed object by object.
 
     Raises:
-        IdentificationError: a number is not positive.
+        IdentificationError: a number is not positive, there is no smooth field, or two hypotheses
+            have the same name.
     """
 
     noise: tuple[float, float, float] = NOISE
-    amplitudes: tuple[float, ...] = AMPLITUDES
+    hypotheses: tuple[LoadHypothesis, ...] = JOINT_HYPOTHESES
 
     def __post_init__(self) -> None:
-        for name, values in (("noise", self.noise), ("amplitudes", self.amplitudes)):
-            if not (len(values) and np.isfinite(values).all() and min(values) > 0):
-                raise IdentificationError(f"{name} is {tuple(values)!r}; expected positive numbers")
+        if not (np.isfinite(self.noise).all() and min(self.noise) > 0):
+            raise IdentificationError(f"noise is {self.noise!r}; expected positive numbers")
+        if all(one.field_amplitude is None for one in self.hypotheses):
+            raise IdentificationError(
+                "hypotheses: expected at least one smooth field, such as SmoothField(0.7)"
+            )
+        check_names(self.hypotheses)
 
     @property
     def name(self) -> str:
@@ -112,36 +132,87 @@ class JointSmoothFields:
                 "objects"
             )
 
-        fits = _fit_all(problem, self.amplitudes, begin)
+        fields = sort_fields(self.hypotheses)
+        priors = [_make_prior(problem, field) for field in fields]
+        fits = fit_fields(problem, priors, begin)
         if task.starts and max(fits[-1].push_scales) > UNEXPLAINED:
             # What was learned before may be a minimum from which no step leads to a better one.
-            others = _fit_all(problem, self.amplitudes, problem.z0)
+            others = fit_fields(problem, priors, problem.z0)
             if others[-1].evidence > fits[-1].evidence:
                 fits = others
         evidence = np.array([fit.evidence for fit in fits])
-        chosen = int(np.argmax(evidence - AMPLITUDE_EXPONENT * np.log(self.amplitudes)))
-        best = fits[chosen]
-        learned = problem.make_model(best.z)
+        weights = [prior.parts[0].weight for prior in priors]
+        chosen = int(np.argmax(evidence + np.log(weights)))
+        moves = np.sum([find_moved(seen, self.noise) for seen in log], axis=0)
+        best, weighed = self._weigh_objects(fits[chosen], fields[chosen], moves > 0)
+        averaged = average_objects(best, weighed)
+        learned = problem.make_model(averaged.z)
+        z = averaged.z
+        covariance = averaged.covariance
+        forces = learn_from_forces(learned, z, covariance, log)
+        if forces is not None:
+            z = forces.z
+            covariance = forces.covariance
+            learned = problem.make_model(z)
+            learned = learned.with_params(*forces.rescale(learned))
+        hypotheses = {each.body: each.describe() for each in weighed}
+        amplitude = fields[chosen].field_amplitude
+        assert amplitude is not None
         model = JointIdentification(
             objects=learned.objects,
             parameters=learned.parameters,
             physics=task.model.physics,
             pair_friction=learned.pair_friction,
-            z=best.z,
-            covariance=best.covariance,
-            prior_covariance=best.prior_covariance,
-            amplitude=float(self.amplitudes[chosen]),
+            z=z,
+            covariance=covariance,
+            prior_covariance=best.prior.root @ best.prior.root.T,
+            amplitude=float(amplitude),
             evidence=evidence,
             noise=self.noise,
             noise_scale=best.noise_scale,
             push_scales=best.push_scales,
             simulations=problem.simulations,
             push_names=tuple(seen.name for seen in log),
-            moved=_find_moved(log, self.noise),
+            moves=moves,
             errors_before=calc_end_errors(problem.make_model(problem.z0), log),
             errors=calc_end_errors(learned, log),
+            forces=() if forces is None else forces.scales,
+            hypotheses=tuple(hypotheses.get(b, ()) for b in range(len(problem.objects))),
         )
         return Found(model, task.screened)
+
+    def _weigh_objects(
+        self, fit: JointFit, field: LoadHypothesis, moved: NDArray[np.bool_]
+    ) -> tuple[JointFit, list[ObjectFits]]:
+        """Weighs what is no smooth field for each object that a push moved, one after another.
+
+        Args:
+            fit: the best fit with smooth fields.
+            field: the smooth field that it has.
+            moved: (N,) which objects a push moved.
+
+        Returns:
+            The best fit, and those of each object.
+        """
+        others = [one for one in self.hypotheses if one.field_amplitude is None]
+        weighed: list[ObjectFits] = []
+        for body in np.flatnonzero(moved).tolist() if others else []:
+            found = weigh_object(fit, field.name, body, others)
+            fit = found.best.fit
+            weighed.append(found)
+        return fit, weighed
+
+
+def _make_prior(problem: JointProblem, field: LoadHypothesis) -> JointPrior:
+    """Makes the prior in which all objects have a smooth field."""
+    n = len(problem.objects)
+    cells = np.cumsum([obj.n for obj in problem.objects])
+    *loads, friction, pairs = np.split(problem.z0, [*cells, cells[-1] + n])
+    parts = [
+        field.propose(HypothesisInputs(obj, np.append(load, mu), FRICTION_STD))[0]
+        for obj, load, mu in zip(problem.objects, loads, friction, strict=True)
+    ]
+    return JointPrior(tuple(parts), pairs)
 
 
 def calc_end_errors(bodies: Bodies, pushes: Iterable[ObservedPush]) -> Array:
@@ -161,59 +232,3 @@ def calc_end_errors(bodies: Bodies, pushes: Iterable[ObservedPush]) -> Array:
         poses = simulate_together(bodies, seen.push, seen.pose, times=times).poses[last]
         errors.append(calc_cell_errors(bodies.objects, poses, seen.final_pose))
     return np.array(errors)
-
-
-def _find_moved(log: PushLog, noise: tuple[float, float, float]) -> NDArray[np.bool_]:
-    """Tells which objects a push moved by more than the noise, (N,)."""
-    moved = np.zeros(len(log.names), dtype=bool)
-    for seen in log:
-        off = seen.final_pose - seen.pose
-        off[:, 2] = np.arctan2(np.sin(off[:, 2]), np.cos(off[:, 2]))
-        moved |= (np.abs(off) > MOVED * np.asarray(noise)).any(axis=1)
-    return moved
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """The best z of one amplitude, and what `JointIdentification` says of it."""
-
-    z: Array
-    covariance: Array
-    prior_covariance: Array
-    evidence: float
-    noise_scale: float
-    push_scales: Array
-
-
-def _fit_all(problem: JointProblem, amplitudes: Sequence[float], z: Array) -> list[_Fit]:
-    """Fits every amplitude, coarse to fine, each from where the last one ended."""
-    smooth = [calc_smooth_covariance(obj) for obj in problem.objects]
-    others = len(problem.z0) - sum(obj.n for obj in problem.objects)
-    fits = []
-    for amplitude in amplitudes:
-        # z = z_0 + L v with v ~ N(0, I)
-        cells = [np.linalg.cholesky(amplitude**2 * C + TOTAL_STD**2) for C in smooth]
-        L = block_diag(*cells, FRICTION_STD * np.eye(others))
-        v = np.linalg.solve(L, z - problem.z0)
-        fit = _describe_fit(problem, L, fit_robustly(problem.linearize, problem.z0, L, v))
-        fits.append(fit)
-        z = fit.z
-    return fits
-
-
-def _describe_fit(problem: JointProblem, L: Array, found: RobustFit) -> _Fit:
-    """Calculates posterior and evidence of a minimum."""
-    identity = np.eye(len(found.v))
-    # the evidence by Laplace's approximation, and the posterior, with the noise that was found
-    log_determinant = float(np.linalg.slogdet(found.curvature + identity)[1])
-    noise = max(found.noise_scale, 1.0) ** 2
-    squares = np.mean(found.residuals**2, axis=1)
-    pushes = problem.push_of_block
-    return _Fit(
-        z=problem.z0 + L @ found.v,
-        covariance=L @ np.linalg.inv(found.curvature / noise + identity) @ L.T,
-        prior_covariance=L @ L.T,
-        evidence=-found.loss - 0.5 * log_determinant,
-        noise_scale=found.noise_scale,
-        push_scales=np.sqrt(np.bincount(pushes, squares) / np.bincount(pushes)),
-    )

@@ -4,7 +4,11 @@ The unknowns are z = (log k of every object's cells; log of the frictions with t
 the pairs' frictions); see `joint_fit`.
 """
 
+from copy import copy
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Jacobian
 from gridpush_drake.geometry.se2 import Array
@@ -13,6 +17,22 @@ from gridpush_drake.identification.statistics.problem import TimedPush, make_eve
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
+
+MOVED_SIGMAS = 4.0
+"""An object counts as moved where it was seen to end this many standard deviations of the noise
+from where it lay."""
+
+
+def find_moved(seen: ObservedPush, noise: tuple[float, float, float]) -> NDArray[np.bool_]:
+    """Tells which of N objects a push moved by more than the noise, (N,).
+
+    Args:
+        seen: the push.
+        noise: standard deviations of poses, m, m and rad.
+    """
+    off = seen.final_pose - seen.pose
+    off[:, 2] = np.arctan2(np.sin(off[:, 2]), np.cos(off[:, 2]))
+    return np.asarray((np.abs(off) > MOVED_SIGMAS * np.asarray(noise)).any(axis=1))
 
 
 class JointProblem:
@@ -23,10 +43,9 @@ class JointProblem:
         log: their pushes.
         z0: (Z,) the unknowns of even objects.
         push_of_block: (B,) number of the push that each block of residuals belongs to.
-        simulations: number of pushes that were simulated so far.
     """
 
-    def __init__(self, model: Model, log: PushLog, noise: Array) -> None:
+    def __init__(self, model: Model, log: PushLog | tuple[ObservedPush, ...], noise: Array) -> None:
         """Takes what is known beforehand.
 
         Args:
@@ -37,7 +56,8 @@ class JointProblem:
         """
         self.objects = model.objects
         self.log = log
-        self.simulations = 0
+        # A list, so that problems made of this one count their simulations together with it.
+        self._spent = [0]
         self.push_of_block = np.repeat(np.arange(len(log)), [len(seen.t_observed) for seen in log])
         self._timed = [TimedPush.of(seen, "quasi_static") for seen in log]
         self._noise = noise
@@ -47,6 +67,21 @@ class JointProblem:
         k = [np.log(each.mass * each.friction) for each in self._even]
         finger = np.log([each.contact_friction for each in self._even])
         self.z0 = np.concatenate([*k, finger, np.log(model.pair_friction[self._pairs])])
+
+    def move_cells(self, body: int, p_BC: Array) -> "JointProblem":
+        """Makes the problem with one object's loads elsewhere; simulations are counted together.
+
+        Args:
+            body: number of the object.
+            p_BC: (n, 2) where its cells bear their loads, body frame, m.
+        """
+        objects = list(self.objects)
+        if p_BC is objects[body].p_BC:
+            return self
+        objects[body] = replace(objects[body], p_BC=p_BC)
+        other = copy(self)
+        other.objects = tuple(objects)
+        return other
 
     def make_model(self, z: Array) -> Model:
         """Makes the model of z."""
@@ -61,6 +96,11 @@ class JointProblem:
         friction[self._pairs] = np.exp(pair)
         return Model(self.objects, params, self._physics, friction + friction.T)
 
+    @property
+    def simulations(self) -> int:
+        """Number of pushes that were simulated so far."""
+        return self._spent[0]
+
     def linearize(self, z: Array) -> tuple[Array, Array]:
         """Simulates all pushes, each from where it was seen to begin.
 
@@ -72,7 +112,7 @@ class JointProblem:
         residuals = []
         derivatives = []
         for timed in self._timed:
-            self.simulations += 1
+            self._spent[0] += 1
             motion = timed.simulate(model, gradients=True, record=timed.rows)
             residuals.append(self._calc_residual(motion.poses[timed.rows], timed.observed))
             by_z = self._chain(model, motion.jacobian) / self._noise[:, None]

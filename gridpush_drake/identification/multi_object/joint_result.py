@@ -7,9 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.geometry.se2 import Array, IntArray
+from gridpush_drake.identification.absolute.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.model import Model, check_draws
-from gridpush_drake.identification.result import FitStart, Identification, IdentificationStatus
+from gridpush_drake.identification.result import (
+    FitStart,
+    HypothesisEvidence,
+    Identification,
+    IdentificationStatus,
+)
 from gridpush_drake.identification.sentences import describe_part
 from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.statistics.posterior import Posterior
@@ -45,16 +51,20 @@ class JointIdentification(Model):
         covariance: (Z, Z) posterior covariance of z.
         prior_covariance: (Z, Z) covariance of z before the pushes.
         amplitude: standard deviation of log k of the smooth fields that were taken.
-        evidence: logarithm of the evidence of each of `AMPLITUDES`.
+        evidence: logarithm of the evidence of each smooth field, by increasing amplitude.
         noise: standard deviations of poses that were assumed, m, m and rad.
         noise_scale: root mean square of the residuals, in units of that noise, in which poses that
             the model cannot explain count for little.
         push_scales: (P,) root mean square of each push's residuals, in units of that noise.
         simulations: number of pushes that were simulated.
         push_names: names of the pushes.
-        moved: (N,) whether a push moved the object by more than the noise.
+        moves: (N,) number of pushes that moved the object by more than the noise.
         errors_before: (P, N) cell errors at the ends of the pushes with even objects, m.
         errors: (P, N) those with what was learned, m.
+        forces: (N,) what measured forces say of each object's friction with the table; empty where
+            none were learned from.
+        hypotheses: (N,) evidence and weight of each hypothesis of an object's loads that was
+            fitted, with those of the smooth fields that were taken; empty where none was.
     """
 
     z: Array
@@ -67,14 +77,21 @@ class JointIdentification(Model):
     push_scales: Array
     simulations: int
     push_names: tuple[str, ...]
-    moved: NDArray[np.bool_]
+    moves: IntArray
     errors_before: Array
     errors: Array
+    forces: tuple[ForceScale, ...] = ()
+    hypotheses: tuple[tuple[HypothesisEvidence, ...], ...] = ()
 
     @property
     def fit_starts(self) -> tuple[FitStart, ...]:
         """The place where a fit to more pushes may begin."""
         return (FitStart(self.z, NoiseScale()),)
+
+    @property
+    def moved(self) -> NDArray[np.bool_]:
+        """Whether a push moved the object by more than the noise, (N,)."""
+        return np.asarray(self.moves > 0)
 
     @property
     def unexplained(self) -> tuple[str, ...]:
@@ -202,7 +219,7 @@ class JointIdentification(Model):
         """(N,) a model of each object: its part of the common posterior.
 
         Each can be used as any other: to predict, to plan, to be written to a file. Their masses
-        have the ratios that were learned; how heavy all are together no slow push tells. What
+        have the ratios that were learned; how heavy all are together only forces tell. What
         objects have in common, such as how rough they are to each other, stands here alone.
         """
         return tuple(_make_part(self, b) for b in range(len(self)))
@@ -228,6 +245,7 @@ def _make_part(found: JointIdentification, body: int) -> Identification:
         friction=np.full(obj.n, obj.prior.friction_std),
         contact_friction=float(params.contact_friction * np.sqrt(posterior.covariance[-1, -1])),
     )
+    force = found.forces[body] if found.forces else None
     errors = float(found.errors[:, body].mean())
     even_errors = float(found.errors_before[:, body].mean())
     status = IdentificationStatus.LEARNED
@@ -250,7 +268,7 @@ def _make_part(found: JointIdentification, body: int) -> Identification:
         parameters=(params,),
         std=std,
         posterior=posterior,
-        identifiability=calc_identifiability(Model(obj, params), posterior),
+        identifiability=calc_identifiability(Model(obj, params), posterior, force),
         method=METHOD,
         physics=found.physics,
         status=status,
@@ -262,4 +280,6 @@ def _make_part(found: JointIdentification, body: int) -> Identification:
         seed=0,
         push_names=found.push_names,
         noise=NoiseModel(),
+        force=force,
+        hypotheses=found.hypotheses[body] if found.hypotheses else (),
     )

@@ -11,13 +11,14 @@ After objects were learned together they are draws from its posterior. The theor
 `docs/theory/planning.md`, section 6.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from gridpush_drake.dynamics.bodies import DEFAULT_PAIR_FRICTION, Bodies
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.multi_object.joint_result import JointIdentification
@@ -73,6 +74,16 @@ class SceneBelief:
             together = self.identification.parts
         return tuple(self.learned_alone.get(b, found) for b, found in enumerate(together))
 
+    def forget(self, bodies: Collection[int]) -> "SceneBelief":
+        """Drops what was learned of some objects alone, by their numbers."""
+        if not bodies:
+            return self
+        return replace(
+            self,
+            models={b: model for b, model in self.models.items() if b not in bodies},
+            learned_alone={b: one for b, one in self.learned_alone.items() if b not in bodies},
+        )
+
     @classmethod
     def of_truth(cls, bodies: Bodies) -> "SceneBelief":
         """Takes the objects' masses and frictions for known."""
@@ -86,6 +97,7 @@ class SceneBelief:
         pair_friction: float = DEFAULT_PAIR_FRICTION,
         draws: int = DEFAULT_DRAW_COUNT,
         seed: int = 0,
+        physics: Physics | None = None,
     ) -> "SceneBelief":
         """Makes what is believed before any push.
 
@@ -94,6 +106,7 @@ class SceneBelief:
             pair_friction: friction that two objects are expected to have against each other.
             draws: number of further models.
             seed: seed of the draws.
+            physics: how the objects slide; `Physics()` by default.
         """
         # Where there are several, loads do not shift, however high the objects are pushed.
         objects = [lay_flat(obj) for obj in objects]
@@ -118,8 +131,8 @@ class SceneBelief:
                     )
                 )
             friction = pair_friction * float(np.exp(FRICTION_STD * rng.standard_normal()))
-            models.append(Bodies(objects, drawn, None, friction))
-        return cls(Bodies(objects, even, None, pair_friction), tuple(models))
+            models.append(Bodies(objects, drawn, physics, friction))
+        return cls(Bodies(objects, even, physics, pair_friction), tuple(models))
 
     @classmethod
     def of_identification(

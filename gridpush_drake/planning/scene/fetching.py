@@ -374,6 +374,7 @@ class FetchLearning:
         seed: int,
         *,
         last: bool = False,
+        anew: bool = False,
     ) -> SceneBelief | None:
         """Learns anew, where the last push tells something; see `SceneLearner`.
 
@@ -385,7 +386,7 @@ class FetchLearning:
         if self.scene is not None:
             # the model of a scene knows no edge, over which the wanted object is slid at last
             lying = [each for each in pushes if self._lies(each, obj)]
-            found = self.scene.learn(belief, lying, seed, last=last)
+            found = self.scene.learn(belief, lying, seed, last=last, anew=anew)
         if last or not pushes or not self._tells(pushes[-1], obj):
             return found
         clean = [seen.single_out(self.wanted) for seen in pushes if self._tells(seen, obj)]

@@ -21,6 +21,8 @@ import numpy as np
 from gridpush_drake.dynamics.bodies import describe_object
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.innovation import InnovationRecord, select_unchanged
+from gridpush_drake.identification.multi_object.joint_fit import NOISE
 from gridpush_drake.planning.closed_loop import (
     ClosedLoop,
     LoopOptions,
@@ -37,9 +39,11 @@ from gridpush_drake.planning.scene.loop import (
     SceneLearner,
     ScenePlanner,
     SceneStep,
+    name_objects,
     straighten,
 )
 from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_log import PushLog
 
 FindSceneGrasp = Callable[[Array, SceneDecision, SceneBelief], SideGrasp | None]
 """Finds a grasp of the object of a decision at poses (N, 3); None where the robot has none."""
@@ -71,8 +75,9 @@ class SceneStatus(Unchanging):
         body: number of the object that is pushed or grasped; -1 for none.
         kind: what the push is for, in a word; empty in tasks with one kind of pushes.
         expected_pose: None; where a push is expected to leave the objects is in its decision.
-        innovations: 0, since no push of several objects is judged yet.
-        surprise: empty.
+        innovations: number of the last pushes that surprised, one after another, of the object of
+            which that are most.
+        surprise: how the last push surprised, object by object; empty where it did not.
     """
 
     mode: SceneMode = SceneMode.WAITING
@@ -104,6 +109,7 @@ class JointState(LoopState):
         learned: numbers of pushes after which the objects were learned anew.
         grasp: the grasp asked for; None before one is.
         grasp_id: its number, counted from 1; 0 before one is asked for.
+        object_innovations: (N,) what surprises there were among the pushes of each object.
     """
 
     status: SceneStatus
@@ -115,6 +121,7 @@ class JointState(LoopState):
     learned: tuple[int, ...] = ()
     grasp: SideGrasp | None = None
     grasp_id: int = 0
+    object_innovations: tuple[InnovationRecord, ...] = ()
 
     def turn_to(self, mode: str, reason: str, **others: Any) -> "JointState":
         """The state in another mode; no object is pushed or grasped in it but the one in `others`.
@@ -160,7 +167,8 @@ class JointLoop(ClosedLoop[JointState]):
 
     def begin(self) -> JointState:
         """The state before the first observation."""
-        return JointState(status=SceneStatus(), belief=self.belief)
+        records = tuple(InnovationRecord(body=b) for b in range(len(self.belief.objects)))
+        return JointState(status=SceneStatus(), belief=self.belief, object_innovations=records)
 
     def observe(self, now: JointState, seen: Observation) -> tuple[JointState, bool]:
         """The state after an observation, but for the decision; see `ClosedLoop.observe`."""
@@ -237,7 +245,7 @@ class JointLoop(ClosedLoop[JointState]):
         return {}
 
     def _judge(self, now: JointState, seen: Observation) -> JointState:
-        """The state itself: pushes of several objects are not judged yet."""
+        """The state itself: a push is judged when the objects are seen at rest after it."""
         return now
 
     def _learn(self, now: JointState, poses: Array, seen: Observation) -> JointState:
@@ -261,17 +269,48 @@ class JointLoop(ClosedLoop[JointState]):
                 poses_observed=poses[None],
             )
         now = replace(now, asked=None, log=(*now.log, made))
-        return self._learn_from(now)
+        judged = self._judge_objects(now)
+        changed = [
+            one.body
+            for one, before in zip(judged.object_innovations, now.object_innovations, strict=True)
+            if one is not before and one.is_changed
+        ]
+        # An object that has just changed is learned anew at once.
+        judged = replace(judged, belief=judged.belief.forget(changed))
+        return self._learn_from(judged, anew=bool(changed))
+
+    def _judge_objects(self, now: JointState) -> JointState:
+        """The state with the last push judged, object by object, by what was known before it."""
+        objects = now.belief.objects
+        log = PushLog(now.log, names=name_objects(len(objects)))
+        records = tuple(one.note(now.belief.identification, log) for one in now.object_innovations)
+        sentences = [
+            f"{describe_object(objects, one.body)}: {one.last.describe()}"
+            for one, before in zip(records, now.object_innovations, strict=True)
+            if one is not before and one.last is not None
+        ]
+        status = replace(
+            now.status,
+            innovations=max(one.in_row for one in records),
+            surprise=" ".join(sentences),
+        )
+        return replace(now, object_innovations=records, status=status)
 
     def _learn_last(self, now: JointState) -> JointState:
         """The state with everything learned that the pushes show, now that none follows."""
         return self._learn_from(now, last=True)
 
-    def _learn_from(self, now: JointState, last: bool = False) -> JointState:
-        """The state with what is learned of the log, if that is worth it now."""
+    def _learn_from(self, now: JointState, *, last: bool = False, anew: bool = False) -> JointState:
+        """The state with what is learned of the log, if that is worth it now.
+
+        Pushes that moved an object which has changed since are left out.
+        """
         if self.learning is None:
             return now
-        found = self.learning.learn(now.belief, now.log, self.seed, last=last)
+        known = now.belief.identification
+        noise = NOISE if known is None else known.noise
+        pushes = select_unchanged(now.object_innovations, now.log, noise)
+        found = self.learning.learn(now.belief, pushes, self.seed, last=last, anew=anew)
         if found is None:
             return now
         return replace(now, belief=found, learned=(*now.learned, len(now.log)))

@@ -15,9 +15,10 @@ from gridpush_drake.dynamics.bodies import describe_object
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.identification.fit.hypotheses import LoadHypothesis, SmoothField
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.multi_object.joint_fit import NOISE, JointSmoothFields
+from gridpush_drake.identification.multi_object.joint_fit import NOISE, JointEnsemble
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.scene.belief import SceneBelief
@@ -100,6 +101,7 @@ class SceneLearner(Protocol):
         seed: int,
         *,
         last: bool = False,
+        anew: bool = False,
     ) -> SceneBelief | None:
         """Learns anew, if that is worth it now.
 
@@ -109,6 +111,8 @@ class SceneLearner(Protocol):
             seed: seed of what is drawn of the models.
             last: whether no push follows, so that whatever was not learned yet is learned now; then
                 the last push need not be new.
+            anew: whether an object has changed, so that it is learned anew now; `pushes` are then
+                those that may still be believed.
 
         Returns:
             What is believed then; None where nothing was learned.
@@ -122,7 +126,8 @@ class SceneLearning:
 
     Attributes:
         after: numbers of pushes after which the objects are learned anew.
-        amplitudes: standard deviations of log k within an object that are tried.
+        hypotheses: how each object may bear on the table. With more than smooth fields, learning
+            takes three to four times as long.
         noise: standard deviations of the poses about their predictions, m, m and rad.
         min_move: least distance by which a pose must change in a push for it to tell something, m.
 
@@ -131,7 +136,7 @@ class SceneLearning:
     """
 
     after: tuple[int, ...] = (2, 4, 7, 11, 16)
-    amplitudes: tuple[float, ...] = (0.3, 0.7)
+    hypotheses: tuple[LoadHypothesis, ...] = (SmoothField(0.3), SmoothField(0.7))
     noise: tuple[float, float, float] = NOISE
     min_move: float = 0.003
 
@@ -145,23 +150,28 @@ class SceneLearning:
         seed: int,
         *,
         last: bool = False,
+        anew: bool = False,
     ) -> SceneBelief | None:
         """Learns from all pushes in which something moved; see `SceneLearner`."""
         telling = [seen for seen in pushes if _moves(seen) >= self.min_move]
-        if not telling or not (last or len(pushes) in self.after):
+        if not telling or not (last or anew or len(pushes) in self.after):
             return None
         known = belief.identification
         if known is not None and known.push_names == tuple(seen.name for seen in telling):
             return None
-        names = tuple(f"object_{i}" for i in range(len(belief.objects)))
         found = identify(
-            Model(belief.objects),
-            PushLog(tuple(telling), names=names),
-            JointSmoothFields(self.noise, self.amplitudes),
+            Model(belief.objects, physics=belief.bodies.physics),
+            PushLog(tuple(telling), names=name_objects(len(belief.objects))),
+            JointEnsemble(self.noise, self.hypotheses),
             start=belief.identification,
         )
         learned = SceneBelief.of_identification(found, draws=len(belief.draws), seed=seed)
         return replace(learned, models=belief.models, learned_alone=belief.learned_alone)
+
+
+def name_objects(count: int) -> tuple[str, ...]:
+    """Names the objects of a scene in its log of pushes."""
+    return tuple(f"object_{i}" for i in range(count))
 
 
 def _moves(seen: ObservedPush) -> float:

@@ -345,3 +345,5 @@ def test_a_kernel_is_compiled_anew_when_a_friction_law_of_the_user_s_own_changes
     assert words[0] == words[1] != words[2]
     body = Body(*[1.0] * len(Body._fields))
     assert hash_own_records((numba.typeof(body), numba.float64)) == "", "the package's own"
+    held = numba.typeof(body._replace(cells=module.Own(1.0)))
+    assert hash_own_records((held,)) == words[-1], "a field of a record"

@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.bodies import Bodies
+from gridpush_drake.dynamics.one_object import ONE_OBJECT_ALONE
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.scene.cores import CORNER_RADIUS, get_core
@@ -153,13 +155,13 @@ def test_cores_keep_notches_and_round_corners():
     [
         ({"pose": [(0, 0, 0), (0.02, 0, 0)]}, r"object 0\) and .*object 1\) overlap"),
         ({"pose": (0, 0, 0)}, r"pose of shape \(3,\); expected \(2, 3\)"),
-        ({"regime": "inertial"}, "expected 'quasi_static': several objects have no momentum"),
-        ({"physics": Physics("lagged")}, "expected 'isotropic'"),
-        ({"push": ForcePush((0, 0), (1, 0), 1.0)}, "expected a Push: several objects have no mom"),
-        ({"velocity": (0.1, 0, 0)}, "velocity: .* several objects have no momentum"),
-        ({"table": [(-1, -1), (1, -1), (1, 1)]}, "table: expected None"),
-        ({"gradients": "mass"}, "gradients is 'mass'; expected True or False, of several"),
-        ({"push_height": 0.01}, "push_height is 0.01 m; expected 0"),
+        ({"regime": "inertial"}, "regime: is for one object"),
+        ({"physics": Physics("lagged")}, "'lagged' needs the regime 'inertial'"),
+        ({"push": ForcePush((0, 0), (1, 0), 1.0)}, "push by a force: is for one object"),
+        ({"velocity": (0.1, 0, 0)}, "velocity: is for one object; .* no momentum"),
+        ({"table": [(-1, -1), (1, -1), (1, 1)]}, "table: is for one object"),
+        ({"gradients": "mass"}, "gradients: is for one object; several .* gradients=True"),
+        ({"push_height": 0.01}, r"\(object 1\): push_height: is for one object"),
         ({"friction": 0.0}, "friction is zero"),
         ({"pair_friction": -1.0}, "pair_friction: expected finite numbers"),
         ({"pair_friction": [[0, 1], [2, 0]]}, "expected a symmetric matrix"),
@@ -167,7 +169,7 @@ def test_cores_keep_notches_and_round_corners():
     ],
 )
 def test_what_is_refused(options, message):
-    """By `simulate`, for whatever several objects do not know yet, and wrong arguments."""
+    """By `simulate`: what is for one object alone, and wrong arguments."""
     obj, params = make_block()
     given = {"pose": [(0, 0, 0), (0.5, 0, 0)], "push": Push((-0.06, 0), (0.05, 0), 0.1, 0.01)}
     given |= options
@@ -179,6 +181,13 @@ def test_what_is_refused(options, message):
     )
     with pytest.raises(SimulationError, match=message):
         simulate(Bodies([obj, obj], [params, changed], **of_model), **given)
+
+
+def test_the_page_has_the_table_of_what_is_for_one_object_alone():
+    page = (Path(__file__).parents[3] / "docs" / "howto" / "several_objects.md").read_text()
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| `")]
+    reasons = {row[0].strip("`"): row[1] for row in rows if len(row) == 2}
+    assert {name: reasons.get(name) for name in ONE_OBJECT_ALONE} == ONE_OBJECT_ALONE
 
 
 def test_derivatives_are_there_where_they_were_asked_for():

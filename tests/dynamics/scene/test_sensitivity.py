@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.dynamics.kernels.friction.laws import FRICTION_LAWS
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.push_cases import GEOMETRY, PARAMETERS, ROUND_OFF
 from tests.helpers.scene_cases import SceneCase, make_row
@@ -41,15 +42,24 @@ def check_scene(case, seed):
     return skipped
 
 
+SLOW_LAWS = [
+    name
+    for name, law in FRICTION_LAWS.items()
+    if "quasi_static" in law.regimes and True in law.gradients
+]
+"""The laws by which several objects can be pushed: all that are registered, such as with -p."""
+
+
+@pytest.mark.parametrize("law", SLOW_LAWS)
 @pytest.mark.parametrize("count", [2, 3])
-def test_exact_gradients(count):
+def test_exact_gradients(count, law):
     skipped = 0
     blocks = 0
     together = 0
     for seed in range(4):
         shapes = np.random.default_rng(seed).permutation(list(SHAPES))[:count]
         scene, push = make_row(seed, shapes, cells=8)
-        case = SceneCase(scene, push, STEPS, ["coupled", "separate"][seed % 2])
+        case = SceneCase(scene, push, STEPS, ["coupled", "separate"][seed % 2], law)
         assert case.result.status == "ok"
         skipped += check_scene(case, seed)
         blocks += len(case.blocks())

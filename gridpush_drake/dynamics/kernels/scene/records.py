@@ -50,9 +50,9 @@ class BodyArrays(NamedTuple):
 
     Attributes:
         first_cell: (N+1,) the first cell of each body, and M.
-        cells: (2, M) cell centers p_BC, m.
-        k: (M,) friction each cell can carry, N.
-        spin: (N, 3) of `isotropic_friction.Isotropic`.
+        cells: (2 M,) cell centers p_BC, m: of each body the x of all its cells, then their y.
+        cell_size: (N,) side of each body's cells, m.
+        laws, law_places: the friction laws, see `body_laws`.
         load: (N,) friction that all cells of a body can carry, N.
         arm: (N,) radius of gyration of the cells' places, m.
         reach: (N,) farthest point of the outline from B's origin, m.
@@ -69,8 +69,9 @@ class BodyArrays(NamedTuple):
 
     first_cell: Any
     cells: Any
-    k: Any
-    spin: Any
+    cell_size: Any
+    laws: Any
+    law_places: Any
     load: Any
     arm: Any
     reach: Any

@@ -12,7 +12,13 @@ import numpy as np
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.contact import GAP, find_contacts
 from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE
-from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
+from gridpush_drake.dynamics.kernels.friction.laws import begin_push, begin_step
+from gridpush_drake.dynamics.kernels.integrate_pose import (
+    PoseMaps,
+    calc_displacement_maps,
+    calc_turn,
+)
+from gridpush_drake.dynamics.kernels.scene.body_laws import take_law
 from gridpush_drake.dynamics.kernels.scene.contact_rows import SceneScales
 from gridpush_drake.dynamics.kernels.scene.contacts import find_scene_contacts, take_edges
 from gridpush_drake.dynamics.kernels.scene.records import (
@@ -66,7 +72,7 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
             wanted.
     """
     n = state.q.shape[0]
-    cells = bodies.k.shape[0]
+    cells = bodies.first_cell[n]
     room = contacts.modes.shape[0]
     width = J.shape[3]
     differentiate = width > 0
@@ -78,6 +84,8 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
     found = np.zeros((2, 9))
     ahead = np.zeros((2, 9))
     xi = np.zeros((n, 3))
+    expected = np.zeros(3)
+    no_force = np.zeros(3)
     shift = np.zeros((n, 2))
     work = make_step_work(n, room)
     derivative = make_derivative(
@@ -87,6 +95,7 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
     for b in range(n):
         state.turn[b, 0] = cos(state.q[b, 2])
         state.turn[b, 1] = sin(state.q[b, 2])
+        _begin_push(bodies, b)
         for i in range(3):
             record.poses[0, b, i] = state.q[b, i]
     if differentiate:
@@ -122,6 +131,7 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
         moving = awake > 0 and closing > 0.0
         if moving:
             _guess_twists(state, contacts, disc, h, xi, work)
+            _begin_friction(bodies, state, h, work.awake, expected, no_force)
             status, iterations = solve_scene_step(
                 bodies, contacts, awake, dt, scales, eps, xi, work
             )
@@ -178,6 +188,13 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
     record.finger_gaps[dts.shape[0]] = _measure_gap(
         bodies, state, tip[dts.shape[0], 0], tip[dts.shape[0], 1], pusher.radius, found
     )
+
+
+@kernel(allocates=False)
+def _begin_push(bodies, b):
+    """Lets the law of body b forget another push."""
+    law, _ = take_law(bodies, b)
+    begin_push(law)
 
 
 @kernel(allocates=False)
@@ -240,6 +257,34 @@ def _guess_twists(state, contacts, disc, h, xi, work):
         s = sin(angle)
         xi[b, 0] = c * vx - s * vy
         xi[b, 1] = s * vx + c * vy
+
+
+@kernel(allocates=False)
+def _begin_friction(bodies, state, h, awake, expected, no_force):
+    """Lets the law of each body that takes part look at how that moved before the step.
+
+    The contact forces are not known beforehand, and no other force acts.
+
+    Args:
+        bodies: `BodyArrays`.
+        state: `BodyStates` at the step's beginning.
+        h: time after which the step looks at the bodies, s.
+        awake: (N,) which bodies take part.
+        expected: (3,) workspace.
+        no_force: (3,) zeros.
+    """
+    for b in range(awake.shape[0]):
+        if not awake[b]:
+            continue
+        # the twist of the step before, in the frame of this one
+        twist = state.twist[b]
+        c, s = calc_turn(h * twist[2])
+        expected[0] = c * twist[0] + s * twist[1]
+        expected[1] = -s * twist[0] + c * twist[1]
+        expected[2] = twist[2]
+        law, cells = take_law(bodies, b)
+        size = bodies.cell_size[b]
+        begin_step(law, cells, 0.0, 0.0, size, expected, no_force, False)
 
 
 @kernel(allocates=False)

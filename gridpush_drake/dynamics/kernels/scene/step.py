@@ -23,7 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.friction.isotropic_friction import add_isotropic
+from gridpush_drake.dynamics.kernels.friction.laws import add_derivatives, can_majorize
+from gridpush_drake.dynamics.kernels.scene.body_laws import take_law
 from gridpush_drake.dynamics.kernels.scene.contact_problem import solve_contacts
 from gridpush_drake.dynamics.kernels.scene.contact_rows import (
     fill_rows,
@@ -184,22 +185,13 @@ def _spread(contacts, work):
 
 @kernel(allocates=False)
 def _add_friction(bodies, b, eps, xi, majorize, g, H):
-    """Adds gradient and Hessian of body b's friction with the table to g (3,) and H (3, 3)."""
-    first = bodies.first_cell[b]
-    last = bodies.first_cell[b + 1]
-    spin = bodies.spin[b]
-    add_isotropic(
-        bodies.cells[0][first:last],
-        bodies.cells[1][first:last],
-        bodies.k[first:last],
-        spin[0],
-        spin[1],
-        eps,
-        xi,
-        majorize,
-        g,
-        H,
-    )
+    """Adds gradient and Hessian of body b's friction with the table to g (3,) and H (3, 3).
+
+    A law that has no majorizing Hessian adds its own instead.
+    """
+    law, cells = take_law(bodies, b)
+    majorize = majorize and can_majorize(law)
+    add_derivatives(law, cells, eps, xi, majorize, g, H)
 
 
 @kernel(allocates=False)

@@ -23,7 +23,8 @@ import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE, SLIDE_PLUS, STICK
-from gridpush_drake.dynamics.kernels.friction.isotropic_friction import fill_cell_forces
+from gridpush_drake.dynamics.kernels.friction.laws import fill_load_derivatives
+from gridpush_drake.dynamics.kernels.scene.body_laws import take_law
 from gridpush_drake.dynamics.kernels.scene.contact_rows import PAIR_COMPLIANCE, calc_compliance
 from gridpush_drake.dynamics.kernels.scene.contact_system import (
     build_contact_matrix,
@@ -343,7 +344,7 @@ def step_columns(bodies, state, disc, ray_x, ray_y, path_length, eps, xi, dt, sh
     dxi = derivative.next_S
     width = S.shape[1]
     inputs = count_inputs(n)
-    cells = bodies.k.shape[0]
+    cells = bodies.first_cell[n]
     frictions = n + (n * (n - 1)) // 2
 
     # What all columns have in common: dxi by the poses and twists at the beginning.
@@ -364,14 +365,8 @@ def step_columns(bodies, state, disc, ray_x, ray_y, path_length, eps, xi, dt, sh
         first = bodies.first_cell[b]
         last = bodies.first_cell[b + 1]
         forces = derivative.f[:, first:last]
-        fill_cell_forces(
-            bodies.cells[0][first:last],
-            bodies.cells[1][first:last],
-            bodies.spin[b],
-            eps * eps,
-            xi[b],
-            forces,
-        )
+        law, places = take_law(bodies, b)
+        fill_load_derivatives(law, places, eps, xi[b], forces)
         for row in range(3 * n):
             y0 = F[row, inputs + 3 * b]
             y1 = F[row, inputs + 3 * b + 1]
