@@ -207,7 +207,7 @@ def test_surprises_in_a_row_are_counted_and_make_forget(monkeypatch: pytest.Monk
     old, vague = identify(Model(obj), log[:2]), identify(Model(obj), log[:3])
     judged = {}
 
-    def judge(model, seen, table):
+    def judge(model, seen, *_):
         return judged[seen.name, model]
 
     monkeypatch.setattr(surprise, "check_innovation", judge)

@@ -224,7 +224,7 @@ def test_an_object_that_a_finger_is_steered_into_moves_as_in_one_push(puck, phys
     for begin, end in pairwise(path):
         steered.steer(begin, end, 0.1, FINGER)
     assert (np.abs(steered.truth.pose - world.truth.pose) < off).all()
-    with pytest.raises(PlanningError, match="several objects"):
+    with pytest.raises(PlanningError, match="is for one object; a steered finger"):
         SimulatedWorld(Model([puck, puck]), [(0, 0, 0), (1, 0, 0)]).steer(*path[:2], 0.1, FINGER)
 
 

@@ -194,7 +194,7 @@ def find_majority(
         evidence = {i: calc_outlier_evidence(one, travels[i]) for i, one in judged.items()}
         # log of (density as this object's + density as another's), push by push
         scores = [
-            one.log_density + np.logaddexp(0.0, evidence[i].log_odds) for i, one in judged.items()
+            one.log_density + np.logaddexp(0.0, evidence[i].log_ratio) for i, one in judged.items()
         ]
         score = float(np.mean(scores))
         if score > best_score:
@@ -202,7 +202,7 @@ def find_majority(
             outliers = {
                 i: one.explain(judged[i])
                 for i, one in evidence.items()
-                if one.log_odds > 0 and screened.log[i].name not in screened.trusted
+                if one.log_ratio > 0 and screened.log[i].name not in screened.trusted
             }
     if not outliers or len(outliers) > screened.may_refuse:
         return screened
@@ -224,19 +224,19 @@ def refuse_worst_push(
         The log without that push; `screened` itself where none is refused.
     """
     travels = _calc_travels(screened)
-    odds = [
-        calc_outlier_evidence(seen, travel).log_odds
+    log_ratios = [
+        calc_outlier_evidence(seen, travel).log_ratio
         for seen, travel in zip(left_out, travels, strict=True)
     ]
     suspects = [
         int(i)
-        for i in np.argsort(odds)[::-1]
-        if odds[i] > SUSPECT_EVIDENCE and screened.log[i].name not in screened.trusted
+        for i in np.argsort(log_ratios)[::-1]
+        if log_ratios[i] > SUSPECT_EVIDENCE and screened.log[i].name not in screened.trusted
     ]
     for i in suspects[: min(screened.may_refuse, MAX_TRIALS)]:
         seen = fit_without(fit, i)
         evidence = calc_outlier_evidence(seen, travels[i])
-        if evidence.log_odds > 0:
+        if evidence.log_ratio > 0:
             return screened.refuse_pushes({i: evidence.explain(seen)})
     return screened
 

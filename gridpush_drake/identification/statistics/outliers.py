@@ -432,7 +432,7 @@ class OutlierEvidence:
     offset: float
 
     @property
-    def log_odds(self) -> float:
+    def log_ratio(self) -> float:
         """The log odds of the residuals as they are."""
         return self.slope - self.offset
 

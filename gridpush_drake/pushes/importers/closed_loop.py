@@ -1,4 +1,4 @@
-"""Importer of runs in which a controller pushed without a break: JSON, as Hogan and Rodriguez wrote.
+"""Importer of runs in which a controller pushed without a break: JSON of Hogan and Rodriguez.
 
 The file is one JSON object. Its lists have an entry for each period of the controller, mostly 1 ms:
 
@@ -10,10 +10,10 @@ Other keys are passed over. Entries may be null, and one list may be longer than
 was ended while they were written: what is behind the end of the shortest one is not used. The
 object's pose is repeated until a new one comes, mostly every 4 ms, and counts where it is new.
 
-Such a run has no pushes in it that begin and end. So it is cut into *windows* of one length, each of
-which begins where the one before ended, and each window is a push. A window says nothing of the
-object, and is left out, if the tip does not push in it, or if the object moves while the tip is
-away from it: then somebody has helped with his hand.
+Such a run has no pushes in it that begin and end. So it is cut into *windows* of one length, which
+follow one another, and each window is a push. A window says nothing of the object, and is left out,
+if the tip does not push in it, or if the object moves while the tip is away from it: then somebody
+has helped with his hand.
 """
 
 import json
@@ -56,7 +56,7 @@ MAX_GAP = 0.1
 """Longest time within a window in which the object or the tip is not seen, s."""
 
 TOUCH_GAP = 0.003
-"""Gap between tip and object up to which they may touch, m: the sum of the errors of both places."""
+"""Gap between tip and object up to which they may touch, m: the errors of both places added up."""
 
 MIN_WAY = 0.001
 """Least way of the tip in a window that tells something of the object, m."""
@@ -179,17 +179,16 @@ def read_run(path: Path) -> ClosedLoopRun:
     poses = np.column_stack([one[:length] for one in lists["q_sliderJSON"]])
     tip = np.column_stack([one[:length] for one in lists["q_pusher_sensedJSON"]])
     known = np.isfinite(np.column_stack([t, poses, tip])).all(axis=1)
-    t, poses, tip = t[known], poses[known], tip[known]
-    if len(t) < 2:
-        raise PushLogError(f"{path}: has {len(t)} whole rows; expected two or more")
+    if known.sum() < 2:
+        raise PushLogError(f"{path}: has {known.sum()} whole rows; expected two or more")
 
     # Two threads wrote the lists: a time that is not after all others before it is none.
-    later = np.append(True, t[1:] > np.maximum.accumulate(t)[:-1])
-    t, poses, tip = t[later], poses[later], tip[later]
-    new = _find_new(t, poses)
-    poses = poses[new]
+    rows = np.flatnonzero(known)
+    rows = rows[np.append(True, t[rows[1:]] > np.maximum.accumulate(t[rows])[:-1])]
+    rows = rows[_find_new(t[rows], poses[rows])]
+    poses = poses[rows]
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return ClosedLoopRun(t[new], poses, tip[new])
+    return ClosedLoopRun(t[rows], poses, tip[rows])
 
 
 def _read_numbers(path: Path, key: str, value: Any) -> Array:
