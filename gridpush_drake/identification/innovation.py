@@ -40,7 +40,7 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.spread import (
     calc_end_covariance,
     calc_end_quantile,
-    calc_norm_quantile,
+    calc_pushed_quantile,
 )
 from gridpush_drake.identification.statistics.friction_gradient import draw_gradients
 from gridpush_drake.identification.statistics.noise import NoiseModel
@@ -217,25 +217,13 @@ def _forecast_one_of_several(
     T = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, obj.radius_of_gyration]])
     J = T @ derivatives[0].reshape(len(off), 3, -1)[body]
     std = T * (max(model.noise_scale, LEAST_SCALE) * np.asarray(model.noise))
-    noise = NoiseModel()
-    calc_quantile = partial(
-        _calc_quantile_of_several,
-        freedom=noise.calc_freedom(pushes),
-        typical=noise.calc_typical_fraction(pushes),
-    )
+    calc_quantile = partial(calc_pushed_quantile, NoiseModel(), pushes)
     return _EndForecast(
         residual=_calc_residual(obj, pose, end.final_pose[body]),
         calc_quantile=partial(calc_quantile, J @ model.covariance @ J.T + std @ std.T),
         near=calc_quantile(std @ std.T, EXPECTED_PROBABILITY),
         draw=partial(_draw_ends_of_several, model, end, body),
     )
-
-
-def _calc_quantile_of_several(
-    covariance: Array, probability: float, *, freedom: float, typical: float
-) -> float:
-    """Calculates a quantile of an end's distance, m, as `calc_end_quantile` does."""
-    return calc_norm_quantile(typical * covariance, freedom, probability)
 
 
 def _calc_residual(obj: GridObject, pose: Array, seen: Array) -> Array:

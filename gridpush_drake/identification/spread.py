@@ -11,7 +11,7 @@ from scipy.stats import f
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.identification.statistics.noise import NORMAL_DOF
+from gridpush_drake.identification.statistics.noise import NORMAL_DOF, NoiseModel
 from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.pushes.arguments import LOG_TYPES, PushLogOrFile, check_types, read_log
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -129,9 +129,15 @@ def calc_end_quantile(model: Identification, covariance: Array, probability: flo
     Returns:
         The distance, root mean square over the cells, m.
     """
-    pushes = len(model.push_names)
-    typical = model.noise.calc_typical_fraction(pushes) * covariance
-    return calc_norm_quantile(typical, model.noise.calc_freedom(pushes), probability)
+    return calc_pushed_quantile(model.noise, len(model.push_names), covariance, probability)
+
+
+def calc_pushed_quantile(
+    noise: NoiseModel, pushes: int, covariance: Array, probability: float
+) -> float:
+    """Calculates the quantile of `calc_end_quantile` after a number of pushes."""
+    typical = noise.calc_typical_fraction(pushes) * covariance
+    return calc_norm_quantile(typical, noise.calc_freedom(pushes), probability)
 
 
 def calc_norm_quantile(

@@ -104,6 +104,21 @@ class MeasuredPushes:
     lifts: Array
     taken: Array
 
+    @property
+    def right(self) -> NDArray[np.bool_]:
+        """(P,) which forces push the objects, as the pusher does."""
+        return np.asarray(self.scales > 0)
+
+    @property
+    def against(self) -> int:
+        """Number of pushes whose forces point against the pusher's motion."""
+        return int((np.isfinite(self.scales) & ~self.right).sum())
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether fewer forces are wrong, of sign or frame, than right."""
+        return self.against < int(self.right.sum())
+
 
 @dataclass(frozen=True)
 class ForceScale:
@@ -195,14 +210,11 @@ def calc_force_scale(
     if not timed:
         return None
 
-    # Forces against the pusher's motion are wrong: of sign or frame. If as many are wrong as
-    # right, none can be trusted.
     measured = measure_pushes(model, timed)
-    scales = measured.scales
-    right = scales > 0
-    against = int((np.isfinite(scales) & ~right).sum())
-    if against >= right.sum():
+    if not measured.is_trusted:
         return None
+    scales = measured.scales
+    right = measured.right
     mean, variance = _average(scales[right], measured.stds[right])
 
     # How much the weight rubs that the finger carried is not known: its friction is that of the
@@ -219,7 +231,7 @@ def calc_force_scale(
         friction=mean,
         relative_std=float(np.sqrt(variance + carried + spread)),
         pushes=int(right.sum()),
-        against=against,
+        against=measured.against,
         gravity=physics.gravity,
     )
 

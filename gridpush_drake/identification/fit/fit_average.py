@@ -173,7 +173,7 @@ def average_fits(
         prior_covariance=wider**2 * prior_covariance,
         noise_std=scaled.pose,
         load_shift_std=scaled.load_shift,
-        status=_find_status(candidates, weights),
+        status=_find_status(candidates, evidences, weights),
         starts=tuple(FitStart(one.fit.z, one.fit.scale, one.name) for one in candidates),
         best=fits[best],
         interval_scale=kappa / wider,
@@ -314,11 +314,14 @@ class _AveragedGroup:
     on_grid: bool
 
 
-def _find_status(candidates: list[Candidate], weights: Array) -> IdentificationStatus:
+def _find_status(
+    candidates: list[Candidate], evidences: Array, weights: Array
+) -> IdentificationStatus:
     """Tells whether anything was learned.
 
     Args:
         candidates: the priors with their fits.
+        evidences: (a,) their log evidences.
         weights: (a,) weights in the mean.
 
     Returns:
@@ -326,18 +329,21 @@ def _find_status(candidates: list[Candidate], weights: Array) -> IdentificationS
         better than by it by more than one standard error.
     """
     kept = candidates[int(np.argmax(weights))].prior.stands_for_even
-    gains = _calc_predictive_gains(candidates, weights)
+    gains = _calc_predictive_gains(candidates, evidences, weights)
     if gains is not None and len(gains) >= MIN_CHECKED_PUSHES:
         standard_error = gains.std(ddof=1) / np.sqrt(len(gains))
         kept = kept or bool(gains.mean() <= standard_error)
     return IdentificationStatus.PRIOR_KEPT if kept else IdentificationStatus.LEARNED
 
 
-def _calc_predictive_gains(candidates: list[Candidate], weights: Array) -> Array | None:
+def _calc_predictive_gains(
+    candidates: list[Candidate], evidences: Array, weights: Array
+) -> Array | None:
     """Calculates how much nearer pushes left out are predicted by the average than by an even fit.
 
     Args:
         candidates: the priors with their fits.
+        evidences: (a,) their log evidences.
         weights: (a,) weights in the mean.
 
     Returns:
@@ -345,12 +351,12 @@ def _calc_predictive_gains(candidates: list[Candidate], weights: Array) -> Array
         average's, m; None if no fit stands for an even object, or the evidence is clearly against
         it.
     """
-    hopeless = max(one.shared_log_evidence for one in candidates) - HOPELESS_EVIDENCE_GAP
+    asked = evidences > evidences.max() - HOPELESS_EVIDENCE_GAP
     even = next(
         (
             one.fit
-            for one in candidates
-            if one.prior.stands_for_even and one.shared_log_evidence > hopeless
+            for one, ask in zip(candidates, asked, strict=True)
+            if one.prior.stands_for_even and ask
         ),
         None,
     )

@@ -346,6 +346,16 @@ def check_names(hypotheses: Sequence[LoadHypothesis]) -> None:
         )
 
 
+def name_priors(
+    hypothesis: LoadHypothesis, inputs: HypothesisInputs
+) -> list[tuple[str, LoadPrior]]:
+    """The priors that a hypothesis proposes, each with a name."""
+    priors = list(hypothesis.propose(inputs))
+    if len(priors) == 1:
+        return [(hypothesis.name, priors[0])]
+    return [(f"{hypothesis.name} {i + 1}", prior) for i, prior in enumerate(priors)]
+
+
 def sort_fields(hypotheses: Sequence[LoadHypothesis]) -> list[LoadHypothesis]:
     """Sorts the smooth fields among hypotheses by increasing amplitude."""
     fields = [one for one in hypotheses if one.field_amplitude is not None]

@@ -358,19 +358,24 @@ class LinearizedFit:
             residuals: (3K,) residuals of each push, m, by the parameters that are to predict. They
                 need not be those of this fit, which are taken where none are given.
         """
+        ends = self._left_out_ends
+        if residuals is None:
+            return ends
+        moved = [
+            (r - own)[LAST_POSE] for r, own in zip(residuals, self.linear.residuals, strict=True)
+        ]
+        return LeftOutEnds(ends.errors + np.array(moved), ends.covariances)
+
+    @cached_property
+    def _left_out_ends(self) -> LeftOutEnds:
         errors = []
         covariances = []
-        for left_out, r, own in zip(
-            self.leave_out(),
-            self.linear.residuals if residuals is None else residuals,
-            self.linear.residuals,
-            strict=True,
-        ):
+        for left_out in self.leave_out():
             covariance = np.linalg.inv(left_out.precision)
             # The poses of a push share errors. The noise model allows for this by taking the noise
             # of each of K poses as K/K_eff times as large. A single pose has the noise itself.
             shared = (self.scale.pose * self.noise.pose) ** 2 * (np.sqrt(len(covariance) / 3) - 1)
-            errors.append(covariance[LAST_POSE] @ left_out.pull + (r - own)[LAST_POSE])
+            errors.append(covariance[LAST_POSE] @ left_out.pull)
             covariances.append(covariance[LAST_POSE, LAST_POSE] - shared * np.eye(POSE_SIZE))
         return LeftOutEnds(np.array(errors), np.array(covariances))
 

@@ -33,6 +33,7 @@ from gridpush_drake.identification.fit.hypotheses import (
     DEFAULT_HYPOTHESES,
     LoadHypothesis,
     check_names,
+    name_priors,
     sort_fields,
 )
 from gridpush_drake.identification.fit.learning_task import (
@@ -47,7 +48,12 @@ from gridpush_drake.identification.fit.load_prior import (
     LinearizedPushes,
     LoadPrior,
 )
-from gridpush_drake.identification.fit.map_fit import MapFit, fit_map, scan_contact_friction
+from gridpush_drake.identification.fit.map_fit import (
+    MapFit,
+    fit_map,
+    replace_contact_friction,
+    scan_contact_friction,
+)
 from gridpush_drake.identification.fit.robust_fit import Fitter, Tracker, fit_robustly
 from gridpush_drake.identification.result import FitStart, IdentificationStatus
 from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
@@ -281,7 +287,7 @@ class MapEnsemble:
         candidates: list[Candidate] = []
         last: MapFit | None = None  # of the smooth field before
         for hypothesis in ordered:
-            for name, prior in _propose(hypothesis, setting):
+            for name, prior in name_priors(hypothesis, setting):
                 begin = None
                 linear = None
                 if prior.start is not None:
@@ -318,7 +324,7 @@ class MapEnsemble:
         for hypothesis in self.hypotheses:
             if not hypothesis.needs_pushes:
                 continue
-            for name, prior in _propose(hypothesis, setting):
+            for name, prior in name_priors(hypothesis, setting):
                 candidate = _fit_prior(
                     problem,
                     hypothesis,
@@ -331,14 +337,6 @@ class MapEnsemble:
                 )
                 candidates.append(candidate)
         return candidates
-
-
-def _propose(hypothesis: LoadHypothesis, setting: HypothesisInputs) -> list[tuple[str, LoadPrior]]:
-    """The priors that a hypothesis proposes, each with a name."""
-    priors = list(hypothesis.propose(setting))
-    if len(priors) == 1:
-        return [(hypothesis.name, priors[0])]
-    return [(f"{hypothesis.name} {i + 1}", prior) for i, prior in enumerate(priors)]
 
 
 def _find_fields(candidates: Sequence[Candidate]) -> list[int]:
@@ -360,11 +358,11 @@ def _calc_distance_to_middle(one: LoadHypothesis) -> float:
 
 def _begin_with_friction(candidates: list[Candidate], fit_one: Callable[..., MapFit]) -> None:
     """Fits anew with another contact friction, where that explains the pushes better."""
-    better = scan_contact_friction(candidates[_find_best(candidates)].fit)
-    if better is None:
+    friction = scan_contact_friction(candidates[_find_best(candidates)].fit)
+    if friction is None:
         return
     for i, one in enumerate(candidates):
-        start = FitStart(np.append(one.fit.z[:-1], better.z[-1]), one.fit.scale)
+        start = FitStart(replace_contact_friction(one.fit.z, friction), one.fit.scale)
         again = fit_one(
             one.problem,
             one.prior.mean,

@@ -27,6 +27,7 @@ from gridpush_drake.identification.result import FitStart
 from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
 from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.statistics.outliers import LeftOut
+from gridpush_drake.identification.statistics.posterior import CONTACT_FRICTION
 from gridpush_drake.identification.statistics.problem import Linearization, PushProblem
 from gridpush_drake.objects.grid_object import GridObject
 
@@ -266,27 +267,35 @@ def fit_without(fit: LinearizedFit, index: int) -> LeftOut:
     return others.judge(asked.problem, [index])[0]
 
 
-def scan_contact_friction(fit: MapFit) -> FitStart | None:
+def replace_contact_friction(z: Array, log_friction: float) -> Array:
+    """Copies z (n+1,) with another log mu_c."""
+    other = z.copy()
+    other[CONTACT_FRICTION] = log_friction
+    return other
+
+
+def scan_contact_friction(fit: MapFit) -> float | None:
     """Looks for a contact friction that explains the pushes better with the loads of a fit.
 
     Where all contacts stick, the motion is the same with any larger friction: the loss is flat in
     log mu_c but for its prior, and no descent finds the friction at which some contacts slip.
 
     Returns:
-        The fit's z with the best of `SCANNED_FRICTIONS`; None where none is better than its own.
+        log mu_c, the best of `SCANNED_FRICTIONS`; None where none is better than the fit's own.
     """
     system = fit.linearized
-    if not system.A[-1, -1] > 0:
+    std = system.A[CONTACT_FRICTION, CONTACT_FRICTION]
+    if not std > 0:
         return None
-    mean = system.z0[-1]
-    places = [np.append(fit.z[:-1], mean + s * system.A[-1, -1]) for s in SCANNED_FRICTIONS]
-    losses = [
-        system.calc_loss(solve_factor(system.A, z - system.z0), system.problem.residuals(z))
-        for z in places
-    ]
+    frictions = system.z0[CONTACT_FRICTION] + std * np.array(SCANNED_FRICTIONS)
+    losses = []
+    for friction in frictions:
+        z = replace_contact_friction(fit.z, friction)
+        u = solve_factor(system.A, z - system.z0)
+        losses.append(system.calc_loss(u, system.problem.residuals(z)))
     best = int(np.argmin(losses))
     now = system.calc_loss(system.u, system.linear.residuals)
-    return FitStart(places[best], fit.scale) if losses[best] < now - FRICTION_GAIN else None
+    return float(frictions[best]) if losses[best] < now - FRICTION_GAIN else None
 
 
 def calc_laplace(

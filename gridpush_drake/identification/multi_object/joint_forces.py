@@ -79,10 +79,9 @@ def learn_from_forces(
     if not timed:
         return None
     measured = measure_pushes(model, timed)
-    right = measured.scales > 0
-    against = int((np.isfinite(measured.scales) & ~right).sum())
-    if against >= right.sum():
+    if not measured.is_trusted:
         return None
+    right = measured.right
 
     # The observations y_p, their noise, and l = J dz.
     loads = [params.friction * params.mass for params in model.parameters]
@@ -111,7 +110,7 @@ def learn_from_forces(
             friction=float(physics.gravity * loads[b].sum() * np.exp(J[b] @ x)),
             relative_std=float(std[b]),
             pushes=int((a[:, b] > TAKEN_FRACTION).sum()),
-            against=against,
+            against=measured.against,
             gravity=physics.gravity,
         )
         for b in range(len(loads))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Jacobian
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.statistics.problem import TimedPush, make_even_parameters
 from gridpush_drake.objects.parameters import CellParameters
@@ -31,7 +31,7 @@ def find_moved(seen: ObservedPush, noise: tuple[float, float, float]) -> NDArray
         noise: standard deviations of poses, m, m and rad.
     """
     off = seen.final_pose - seen.pose
-    off[:, 2] = np.arctan2(np.sin(off[:, 2]), np.cos(off[:, 2]))
+    off[:, 2] = wrap_angle(off[:, 2])
     return np.asarray((np.abs(off) > MOVED_SIGMAS * np.asarray(noise)).any(axis=1))
 
 

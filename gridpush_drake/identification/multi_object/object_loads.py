@@ -28,7 +28,7 @@ from scipy.special import logsumexp, softmax
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.fit.fit_average import move_center
-from gridpush_drake.identification.fit.hypotheses import LoadHypothesis
+from gridpush_drake.identification.fit.hypotheses import LoadHypothesis, name_priors
 from gridpush_drake.identification.fit.load_prior import (
     HypothesisInputs,
     LinearizedPushes,
@@ -198,9 +198,7 @@ def _list_priors(
     """Lists the priors that hypotheses propose, each with a name."""
     alone = replace(inputs, pushes=None)
     for hypothesis in hypotheses:
-        priors = list(hypothesis.propose(inputs if hypothesis.needs_pushes else alone))
-        for i, prior in enumerate(priors, start=1):
-            yield hypothesis.name if len(priors) == 1 else f"{hypothesis.name} {i}", prior
+        yield from name_priors(hypothesis, inputs if hypothesis.needs_pushes else alone)
 
 
 def _calc_log_prior(part: LoadPrior) -> float:

@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import ClassVar, Protocol
 
+from gridpush_drake.errors import PushLogError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -48,6 +49,13 @@ class Importer(Protocol):
                 and what is wrong.
         """
         ...
+
+
+def require_object(path: Path, obj: GridObject | None) -> GridObject:
+    """The object that was pushed. Raises PushLogError where --object was not given."""
+    if obj is None:
+        raise PushLogError(f"{path}: --object is missing; expected the object that was pushed")
+    return obj
 
 
 def find_importer(name: str) -> type[Importer]:

@@ -33,6 +33,7 @@ from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.notebook import count
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.importers import require_object
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import name_push
@@ -116,13 +117,12 @@ class ClosedLoopImporter:
             PushLogWarning: the object moved in some windows while the tip was away from it.
         """
         path = Path(path)
-        if self.obj is None:
-            raise PushLogError(f"{path}: --object is missing; expected the object that was pushed")
+        obj = require_object(path, self.obj)
         if not 0 < self.window < MAX_NUMBER:
             raise PushLogError(f"--window: is {self.window!r}; expected a positive number (s)")
         run = read_run(path)
-        radius = choose_pusher_radius(self.obj)
-        touching = _find_contact(self.obj, run, radius) <= TOUCH_GAP
+        radius = choose_pusher_radius(obj)
+        touching = _find_contact(obj, run, radius) <= TOUCH_GAP
 
         pushes: list[ObservedPush] = []
         helped = 0
@@ -132,13 +132,13 @@ class ClosedLoopImporter:
                 continue
             if np.diff(run.t[part]).max() > MAX_GAP:
                 continue
-            if _measure_free_way(self.obj, run.poses[part], touching[part]) > HELPED_WAY:
+            if _measure_free_way(obj, run.poses[part], touching[part]) > HELPED_WAY:
                 helped += 1
                 continue
             pushes.append(_make_push(run, part, radius, name_push(len(pushes))))
         if not pushes:
             raise PushLogError(
-                f"{path}: the tip pushes {self.obj.name} in no window of {self.window:g} s; are "
+                f"{path}: the tip pushes {obj.name} in no window of {self.window:g} s; are "
                 "the object's frame and the radius of the tip those of the run?"
             )
         if helped:
@@ -149,7 +149,7 @@ class ClosedLoopImporter:
                 PushLogWarning,
                 stacklevel=2,
             )
-        return PushLog(tuple(pushes), str(path)), self.obj
+        return PushLog(tuple(pushes), str(path)), obj
 
 
 def read_run(path: Path) -> ClosedLoopRun:

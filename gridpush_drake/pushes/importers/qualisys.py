@@ -28,6 +28,7 @@ from gridpush_drake.errors import MAX_NUMBER, PushLogError
 from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.importers import require_object
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
@@ -123,8 +124,7 @@ class QualisysImporter:
         """
         path = Path(path)
         t, bodies = read_bodies(path)
-        if self.obj is None:
-            raise PushLogError(f"{path}: --object is missing; expected the object that was pushed")
+        obj = require_object(path, self.obj)
         pushed = _choose(path, bodies, "--object-body", self.object_body)
         carrier = _choose(path, bodies, "--tip-body", self.tip_body)
         tip = carrier.p + carrier.R @ _read_place(self.tip_at)
@@ -134,10 +134,10 @@ class QualisysImporter:
         yaw = np.arctan2(pushed.R[:, 1, 0], pushed.R[:, 0, 0])
         poses = np.column_stack([pushed.p[:, :2], yaw])
 
-        radius = choose_pusher_radius(self.obj)
+        radius = choose_pusher_radius(obj)
         samples = make_samples(t, tip, calc_velocities(t, tip), poses)
         recording = record_pushes(
-            samples, self.obj, radius, SegmenterOptions(), RecordOptions(), str(path)
+            samples, obj, radius, SegmenterOptions(), RecordOptions(), str(path)
         )
         if not len(recording.log):
             lowest = float(np.nanmin(tip[:, 2])) if np.isfinite(tip[:, 2]).any() else math.nan
@@ -146,8 +146,8 @@ class QualisysImporter:
                 f"the tip comes down to {lowest:.3f} m above the table, and counts as pushing "
                 f"below {below:g} m; are --tip-at and --table-height right?"
             )  # fmt: skip
-            raise PushLogError(f"{path}: holds no push of {self.obj.name}: {why}")
-        return recording.log, self.obj
+            raise PushLogError(f"{path}: holds no push of {obj.name}: {why}")
+        return recording.log, obj
 
 
 def read_bodies(path: Path) -> tuple[Array, dict[str, BodyTrack]]:
