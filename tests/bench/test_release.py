@@ -13,6 +13,7 @@ from gridpush_drake.bench.study import Done, JobKind, Study, StudyOptions
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.jobs.results import DATA_SUFFIXES, list_sources
 from gridpush_drake.report.table import Table
+from tests.helpers.command_line import run_gridpush
 
 PACKAGE = Path(gridpush_drake.__file__).parent
 
@@ -74,6 +75,14 @@ def test_a_row_goes_on_where_it_was_and_its_table_is_written_into_pages(tmp_path
     again = measure(tmp_path / "kept")
     assert file.read_text().splitlines() == lines
     assert [table.rows for table in again] == [table.rows for table in done]
+
+
+def test_the_command_runs_jobs_on_as_many_workers_as_asked(tmp_path, quick, monkeypatch, capsys):
+    monkeypatch.setattr("gridpush_drake.jobs.run.LocalPool", None)
+    given = ("--row", "quick", "--folder", tmp_path / "kept", "--workers", 0, "--json")
+    done = run_gridpush(capsys, "bench", "release", *given)
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["tables"][0]["rows"][0][1] == 6
 
 
 def test_a_row_whose_code_changed_says_so_and_is_measured_anew_if_asked(tmp_path, quick):

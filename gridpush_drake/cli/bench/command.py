@@ -70,7 +70,9 @@ def make_command(study: Study[Any]) -> Any:
         out = None if "out" in own else given.pop("out")
         options.check_outputs(given["force"], out)
         running = {
-            name: given.pop(name) for name in ("workers", "dask", "results") if name in given
+            name: given.pop(name)
+            for name in ("workers", "dask", "results")
+            if name in given and name not in own
         }
         chosen = study.options(**{name: _to_tuple(value) for name, value in given.items()})
         if study.tasks:
