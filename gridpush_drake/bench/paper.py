@@ -229,6 +229,7 @@ class PaperBenchOptions(StudyOptions):
         methods: methods of `identify`; all of them where None.
         budget: greatest number of simulated pushes of an identification. The default method decides
             itself how much of it it spends.
+        show_parts: whether the default method sees which cells are of one part.
         figure: file of a figure of the error against the number of simulations; None for none.
     """
 
@@ -239,6 +240,9 @@ class PaperBenchOptions(StudyOptions):
         None, "A method; may be repeated.", name="--method", metavar="NAME", shown="all"
     )
     budget: int = option(DEFAULT_BUDGET, "Most simulated pushes of an identification.", least=1)
+    show_parts: bool = option(
+        False, "Show the learner which cells are of one part, as by their colors."
+    )
     figure: Path | None = option(
         None,
         "Also draw the error against the number of simulations.",
@@ -275,6 +279,7 @@ class PaperJob:
         methods: methods of `identify`.
         budgets: greatest numbers of simulated pushes.
         seed: seed of everything random.
+        show_parts: whether the learner sees which cells are of one part.
     """
 
     data: Path | None
@@ -284,6 +289,7 @@ class PaperJob:
     methods: tuple[str, ...]
     budgets: tuple[int, ...]
     seed: int
+    show_parts: bool = False
 
 
 def shorten(options: PaperBenchOptions) -> PaperBenchOptions:
@@ -319,6 +325,7 @@ def make_jobs(options: PaperBenchOptions) -> list[PaperJob]:
                 methods=options.chosen_methods,
                 budgets=options.budgets,
                 seed=options.seed,
+                show_parts=options.show_parts,
             )
             jobs.append(job)
             if DEFAULT_METHOD in options.chosen_methods:
@@ -363,7 +370,7 @@ def run_job(job: PaperJob) -> list[PaperScore]:
     The default method decides itself how much it spends, so that it learns only once.
     """
     protocol = make_protocol(job.data, job.seed)
-    case = _make_case(job.data, job.seed, job.name, job.mass_set)
+    case = _make_case(job.data, job.seed, job.name, job.mass_set, job.show_parts)
     split = protocol.splits[job.training][job.mass_set]
     train = case.log.subset(split.train)
     test = case.log.subset(split.test)
@@ -415,8 +422,10 @@ def _check(
 
 
 @lru_cache(maxsize=1)
-def _make_case(data: Path | None, seed: int, name: str, mass_set: int) -> ProtocolCase:
-    return make_case(make_protocol(data, seed), name, mass_set)
+def _make_case(
+    data: Path | None, seed: int, name: str, mass_set: int, show_parts: bool
+) -> ProtocolCase:
+    return make_case(make_protocol(data, seed), name, mass_set, show_parts)
 
 
 def write_figure(

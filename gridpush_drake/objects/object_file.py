@@ -90,6 +90,7 @@ class PhysicalPrior:
         push_height: above the table, where the pusher touches, m; it comes with the pusher's
             radius. None where nothing is said of it: every cell is then taken to bear its own
             weight.
+        uniform_parts: whether the cells of a part may be of one material, as where they look alike.
 
     Raises:
         ParameterError: a value is out of range.
@@ -105,6 +106,7 @@ class PhysicalPrior:
     contact_friction_std: float = 0.15
     pusher_radius: float | None = None
     push_height: float | None = None
+    uniform_parts: bool = False
 
     @property
     def friction_std(self) -> float:
@@ -328,6 +330,7 @@ class ObjectSchema(StrictSchema):
     pusher: PusherSchema | None = Field(
         None, description="radius and, where it is known, height, in meters"
     )
+    uniform_parts: bool = Field(False, description="true or false")
 
     @field_validator("name")
     @classmethod
@@ -375,6 +378,7 @@ class ObjectSchema(StrictSchema):
             contact_friction_std=self.contact_friction.std,
             pusher_radius=self.pusher.radius if self.pusher else None,
             push_height=self.pusher.height if self.pusher else None,
+            uniform_parts=self.uniform_parts,
         )
 
 
@@ -492,6 +496,8 @@ def describe_object(
         data["pusher"] = {"radius": float(prior.pusher_radius)}
         if prior.push_height is not None:
             data["pusher"]["height"] = float(prior.push_height)
+    if prior.uniform_parts:
+        data["uniform_parts"] = True
     return data
 
 

@@ -1,6 +1,7 @@
 """Ideas of how an object bears on the table, and the cuts by which it may be of two parts."""
 
 from dataclasses import fields, replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -14,14 +15,17 @@ from gridpush_drake.identification.fit.hypotheses import (
     Concentrated,
     Ring,
     TwoParts,
+    UniformParts,
 )
 from gridpush_drake.identification.fit.load_modes import (
     CUT_ANGLES,
     MIN_PART,
     RING_WIDTH,
+    calc_part_modes,
     calc_radius_mode,
     find_corners,
     find_cuts,
+    find_part_borders,
     find_rings,
 )
 from gridpush_drake.identification.fit.load_prior import (
@@ -269,3 +273,47 @@ def test_a_ring_is_learned_better_where_rings_are_tried() -> None:
     )
     assert np.mean(with_all) < 0.8 * np.mean(without)
     assert max(weights) > 0.9
+
+
+def see_parts(obj, labels):
+    """The object whose parts are seen, and may be of one material each."""
+    return replace(obj, labels=labels, prior=replace(obj.prior, uniform_parts=True))
+
+
+def test_borders_of_parts_are_the_cells_next_to_another_part() -> None:
+    obj = make_shape("l_bracket", 20)
+    labels = np.where(obj.p_BC[:, 0] > 0.02, 5, 2)
+    parted = see_parts(obj, labels)
+    h = calc_part_modes(parted)
+    np.testing.assert_allclose(h.mean(axis=1), 0, atol=1e-12)
+    np.testing.assert_allclose(np.ptp(h, axis=1), 1)
+    np.testing.assert_array_equal(h[1] > 0, labels == 5)
+    near = np.abs(obj.p_BC[:, 0] - 0.02) < obj.cell_size
+    assert set(find_part_borders(parted)) == set(np.flatnonzero(near))
+    assert not len(find_part_borders(obj))
+
+
+def test_parts_that_look_alike_are_learned_from_two_pushes_and_paint_does_no_harm() -> None:
+    shape = make_shape("claw_hammer", 60)
+    labels = np.where(shape.p_BC[:, 0] > np.median(shape.p_BC[:, 0]), 2, 1)
+    labels[shape.p_BC[:, 1] > np.quantile(shape.p_BC[:, 1], 0.8)] = 3
+    ratios = {"parts": np.array([1.0, 6.0, 0.3]), "paint": np.ones(3)}
+    errors = {(name, seen): 0.0 for name in ratios for seen in (True, False)}
+    for (name, seen), seed in product(errors, range(3)):
+        truth = CellParameters(ratios[name][labels - 1], np.full(shape.n, 0.4), 0.4)
+        obj = see_parts(shape, labels) if seen else shape
+        train = make_pokes(obj, truth, 2, seed, noise=(5e-4, 3.5e-3))
+        test = make_pokes(obj, truth, 10, 100 + seed)
+        found = identify(Model(obj), train)
+        assert ("uniform parts" in [one.name for one in found.hypotheses]) == seen
+        errors[name, seen] += calc_mean_cell_error(Model(obj, found.params, found.physics), test)
+    assert errors["parts", True] < 0.6 * errors["parts", False]
+    assert errors["paint", True] < errors["paint", False] + 3e-4
+
+
+def test_nothing_is_proposed_where_no_parts_are_known() -> None:
+    obj = make_shape("square", 16)
+    setting = HypothesisInputs(obj, np.zeros(obj.n + 1), MU_STD)
+    assert UniformParts().propose(setting) == []
+    painted = replace(setting, obj=see_parts(obj, np.ones(obj.n, dtype=int)))
+    assert UniformParts().propose(painted) == []

@@ -28,6 +28,7 @@ center_of_mass: {at: [0.0, 0.001], std: 3e-3}
 friction: {prior: 0.3, min: 0.1, max: 0.9}
 contact_friction: {prior: 0.45, std: 0.1}
 pusher: {radius: 0.0005}
+uniform_parts: true
 """
 BASE = "outline: [[0, 0], [0.1, 0], [0.1, 0.1]]\n"
 
@@ -43,7 +44,11 @@ def test_whole_file(tmp_path):
     assert obj.name == "triangle_block"
     assert 50 <= obj.n <= 60
     assert set(obj.labels) == {1, 2}
-    assert obj.prior == PhysicalPrior(1.518, (0.0, 0.001), 0.003, 0.3, 0.1, 0.9, 0.45, 0.1, 0.0005)
+    assert obj.prior == PhysicalPrior(
+        1.518, (0.0, 0.001), 0.003, 0.3, 0.1, 0.9, 0.45, 0.1, 0.0005, uniform_parts=True
+    )
+    obj.write_yaml(tmp_path / "again.yaml")
+    assert GridObject.from_yaml(tmp_path / "again.yaml").prior == obj.prior
 
 
 def test_outline_alone_is_enough(tmp_path):

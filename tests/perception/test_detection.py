@@ -173,6 +173,10 @@ def test_parts_are_told_apart_by_color():
     left = obj.p_BC[:, 0] < 0
     assert set(obj.labels) == {1, 2}
     assert len(set(obj.labels[left])) == len(set(obj.labels[~left])) == 1
+    assert obj.prior.uniform_parts
+    assert (
+        not detect(prisms[:1], DetectorOptions(parts=True)).make_grid_object().prior.uniform_parts
+    )
 
 
 def test_cells_too_small_to_be_counted_are_refused():

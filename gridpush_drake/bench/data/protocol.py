@@ -294,8 +294,16 @@ def _read_document(drawn: Drawn, expected: str, read: Callable[[Any], Drawn]) ->
         raise GridPushError(f"{path}: expected JSON with {expected} ({error!r})") from error
 
 
-def make_case(protocol: Protocol, name: str, mass_set: int) -> ProtocolCase:
+def make_case(
+    protocol: Protocol, name: str, mass_set: int, show_parts: bool = False
+) -> ProtocolCase:
     """Simulates the ten pushes of an object with one of its hidden mass sets.
+
+    Args:
+        protocol: the protocol.
+        name: name of the object.
+        mass_set: number of its mass set.
+        show_parts: whether whoever learns sees which cells are of one part, as by their colors.
 
     Raises:
         GridPushError: the protocol has no such object.
@@ -311,9 +319,9 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> ProtocolCase:
     masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
     log = push_object(obj, truth, columns)
-    return ProtocolCase(
-        hide_parts(replace(obj, name=name)), replace(log, source=f"{name}, mass set {mass_set}")
-    )
+    obj = replace(obj, name=name, prior=replace(obj.prior, uniform_parts=show_parts))
+    seen = obj if show_parts else hide_parts(obj)
+    return ProtocolCase(seen, replace(log, source=f"{name}, mass set {mass_set}"))
 
 
 def push_object(obj: GridObject, truth: CellParameters, columns: int | None = None) -> PushLog:

@@ -176,7 +176,8 @@ def make_object(
         bool,
         typer.Option(
             "--parts",
-            help="Divide the object into parts by its colors. A simulation with random masses "
+            help="Divide the object into parts by its colors. Learning weighs whether the cells of "
+            "a part are of one material (key uniform_parts), and a simulation with random masses "
             "gives each part a mass of its own.",
         ),
     ] = False,

@@ -22,7 +22,12 @@ Shipped are
 * `Ring`: the load lies in a ring about the middle, h = exp(-(d - r)² / (2 w²)), standardized, with
   d the distance from the middle,
 
-      log k ~ N(log k_0, a_o² C + sigma_o² h h^T)
+      log k ~ N(log k_0, a_o² C + sigma_o² h h^T);
+
+* `UniformParts`: the cells of a part are of one material, for the object's file says that they may
+  be. With h_p = 1 on part p and 0 beside it, less the mean, and b = 1 where two parts meet,
+
+      log k ~ N(log k_0, a_u² C + sigma_u² sum_p h_p h_p^T + sigma_b² diag(b))
 
 A further hypothesis is a class that inherits `LoadHypothesis`, passed as
 `identify(..., method=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, Mine())))`. Theory:
@@ -37,9 +42,11 @@ import numpy as np
 
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.fit.load_modes import (
+    calc_part_modes,
     calc_radius_mode,
     find_corners,
     find_cuts,
+    find_part_borders,
     find_rings,
 )
 from gridpush_drake.identification.fit.load_prior import (
@@ -48,7 +55,11 @@ from gridpush_drake.identification.fit.load_prior import (
     LoadPrior,
     calc_prior_factor,
 )
-from gridpush_drake.identification.fit.mode_choice import propose_modes
+from gridpush_drake.identification.fit.mode_choice import (
+    calc_linear_step,
+    propose_modes,
+    reduce_rows,
+)
 
 FIELD_AMPLITUDES = (0.05, 0.3, 0.7, 1.5, 3.0, 6.0)
 """Standard deviations of log k of the shipped smooth fields; the first is an almost even object."""
@@ -98,7 +109,7 @@ class LoadHypothesis(Protocol):
         ...
 
 
-def _check_positive(hypothesis: "SmoothField | Concentrated | Ring") -> None:
+def _check_positive(hypothesis: "SmoothField | Concentrated | Ring | UniformParts") -> None:
     """Raises IdentificationError: a number of a hypothesis is not positive and finite."""
     for field in fields(hypothesis):
         value = getattr(hypothesis, field.name)
@@ -326,12 +337,73 @@ class Ring(LoadHypothesis):
         )
 
 
+@dataclass(frozen=True)
+class UniformParts(LoadHypothesis):
+    """The cells of a part are of one material, such as a head of steel and a handle of wood.
+
+    It is for objects whose file says so (`PhysicalPrior.uniform_parts`): parts by the colors of a
+    photograph, or the labels of a mask. Colors may lie, so that it is weighed as all others are.
+
+    Attributes:
+        weight: prior weight. (All shipped smooth fields together weigh 12.0.)
+        part_std: sigma_u, standard deviation of log k of a part.
+        amplitude: a_u, standard deviation of log k within a part.
+        border_std: sigma_b, standard deviation of log k, beside that, of a cell that is next to
+            another part: the border may run through it.
+        range_cells: correlation range within a part, cells.
+    """
+
+    weight: float = 12.0
+    part_std: float = 1.5
+    amplitude: float = 0.1
+    border_std: float = 0.5
+    range_cells: float = RANGE_CELLS
+
+    def __post_init__(self) -> None:
+        """Raises IdentificationError: a number is not positive and finite."""
+        _check_positive(self)
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return "uniform parts"
+
+    @property
+    def needs_pushes(self) -> bool:
+        """True: its fit may begin where the pushes, made linear, put the parts."""
+        return True
+
+    def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
+        """Proposes it where the parts are known, and there are several."""
+        obj = setting.obj
+        if not obj.prior.uniform_parts or (obj.labels == obj.labels[0]).all():
+            return []
+        # C(log k) = a_u² C + sigma_u² sum_p h_p h_p^T + sigma_b² diag(b)
+        h = calc_part_modes(obj)
+        C = setting.calc_smooth_covariance(self.range_cells)
+        covariance = self.amplitude**2 * C + self.part_std**2 * h.T @ h
+        border = find_part_borders(obj)
+        covariance[border, border] += self.border_std**2
+        factor = calc_prior_factor(covariance, 1.0, setting.log_contact_friction_std)
+        assert setting.pushes is not None
+        step = calc_linear_step(reduce_rows(setting.pushes), factor)
+        prior = LoadPrior(
+            mean=setting.z0,
+            factor=factor,
+            weight=self.weight,
+            p_BC=obj.p_BC,
+            start=setting.z0 + step,
+        )
+        return [prior]
+
+
 DEFAULT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
     *(SmoothField(amplitude) for amplitude in FIELD_AMPLITUDES),
     RigidBottom(),
     Concentrated(),
     TwoParts(),
     Ring(),
+    UniformParts(),
 )
 """The hypotheses that `identify` weighs unless it is told others."""
 

@@ -1,4 +1,4 @@
-"""Where loads may lie, by the outline alone: corners, straight cuts, the radius, and rings.
+"""Where loads may lie, by the outline: corners, straight cuts, the radius, rings; and by the parts.
 
 Hypotheses of how an object bears on the table (`hypotheses`) are made of these. What the pushes say
 of them is not decided here. Theory: `docs/theory/identification.md`, section 5.
@@ -113,3 +113,15 @@ def find_rings(obj: GridObject) -> Array:
     # A ring that lies between all cells is none.
     informed = std[:, 0] > LEAST_RING_STD
     return np.asarray(h[informed] / std[informed])
+
+
+def calc_part_modes(obj: GridObject) -> Array:
+    """Calculates h (parts, n): 1 on the cells of each part, 0 on all others, less its mean."""
+    h = (obj.labels == np.unique(obj.labels)[:, None]).astype(np.float64)
+    return np.asarray(h - h.mean(axis=1, keepdims=True))
+
+
+def find_part_borders(obj: GridObject) -> IntArray:
+    """Finds the cells that share a side with a cell of another part, increasing."""
+    labels = obj.labels[obj.adjacency]
+    return np.unique(obj.adjacency[labels[:, 0] != labels[:, 1]])

@@ -77,9 +77,6 @@ def propose_modes(
             modes[best], modes[best]
         )
         A = calc_prior_factor(covariance, 1.0, setting.log_contact_friction_std)
-        # Where the linear pushes put z under this prior is where its fit begins.
-        B = J @ A
-        u = -B.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, residuals)
         # The evidence of this mode stands for the average over all modes, to which those like it
         # contribute as much less as they are less probable.
         fraction = float(np.exp(log_evidence[alike] - log_evidence[best]).sum() / len(modes))
@@ -90,11 +87,20 @@ def propose_modes(
                 weight=weight,
                 p_BC=setting.obj.p_BC,
                 evidence_fraction=fraction,
-                start=setting.z0 + A @ u,
+                start=setting.z0 + calc_linear_step(pushes, A),
             )
         )
         left &= ~alike
     return found
+
+
+def calc_linear_step(pushes: LinearizedPushes, A: Array) -> Array:
+    """Calculates z - z_0 (n+1,) where linear pushes put z under a prior N(z_0, A A^T).
+
+    A fit that begins there comes to an end nearby.
+    """
+    B = pushes.J @ A
+    return -A @ (B.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, pushes.residuals))
 
 
 def reduce_rows(pushes: LinearizedPushes) -> LinearizedPushes:

@@ -7,7 +7,7 @@ Where the table is in the picture is found in `table_view`, which pixels are no 
 known is followed in `tracking`. The theory is in docs/theory/perception.md, section 2.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ from gridpush_drake.errors import (
 from gridpush_drake.geometry.contour import calc_contour
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS
-from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.perception.detection.foreground import (
     Cues,
     Foreground,
@@ -166,8 +166,11 @@ class DetectedObject:
                 f" so of at least {least:.2g} m"
             )
         parts = {label: self._to_body(part) for label, part in self.parts.items()}
-        obj = GridObject.from_outline(self.outline_B, parts=parts, max_cells=max_cells, name=name)
-        return GridObject(name, *obj.grid, obj.prior, self.height or None)
+        return replace(
+            GridObject.from_outline(self.outline_B, parts=parts, max_cells=max_cells, name=name),
+            prior=PhysicalPrior(uniform_parts=len(parts) > 1),
+            height=self.height or None,
+        )
 
     def _to_body(self, shape: Polygon) -> Polygon:
         """Moves a shape from W to the body frame, m."""
