@@ -131,7 +131,10 @@ def test_ten_pushes_touch_at_their_start(name):
 
 def test_the_identifier_sees_neither_parts_nor_masses(made_folder):
     case = make_case(make_protocol(made_folder), "ell", mass_set=0)
-    assert (case.obj.labels == 1).all()
+    assert (case.obj.labels == 1).all() and not case.obj.prior.uniform_parts
+    shown = make_case(make_protocol(made_folder), "ell", mass_set=0, show_parts=True)
+    assert set(shown.obj.labels) == {1, 2} and shown.obj.prior.uniform_parts
+    assert shown.log[0].final_pose.tolist() == case.log[0].final_pose.tolist()
     assert case.obj.prior == PhysicalPrior()
 
 
