@@ -156,7 +156,7 @@ def tabulate_methods(
         f"ten pushes at {PUSH_SPEED:g} m/s for {PUSH_DURATION:g} s by a disc of "
         f"{FINGER_RADIUS * 100:g} cm "
         f"radius in place of the paper's 3 cm square finger, pose seen every {OBSERVED_EVERY:g} s. "
-        "The identifier sees neither labels nor the total mass.",
+        "The identifier sees neither the total mass nor, without --show-parts, labels.",
     ]
     return Table.of(title, ("method",), groups, columns, notes)
 
