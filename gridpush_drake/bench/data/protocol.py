@@ -313,13 +313,13 @@ def make_case(
             f"objects: {name!r} is not in the protocol; expected one of "
             f"{', '.join(protocol.masses)}"
         )
-    obj = replace(read_object(protocol, name), prior=PhysicalPrior(friction=SUPPORT_FRICTION))
+    prior = PhysicalPrior(friction=SUPPORT_FRICTION, uniform_parts=show_parts)
+    obj = replace(read_object(protocol, name), name=name, prior=prior)
     mask = protocol.masks.get(name)
     columns = None if mask is None else read_labels(mask).shape[1]
     masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
     log = push_object(obj, truth, columns)
-    obj = replace(obj, name=name, prior=replace(obj.prior, uniform_parts=show_parts))
     seen = obj if show_parts else hide_parts(obj)
     return ProtocolCase(seen, replace(log, source=f"{name}, mass set {mass_set}"))
 

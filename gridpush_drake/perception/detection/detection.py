@@ -166,11 +166,11 @@ class DetectedObject:
                 f" so of at least {least:.2g} m"
             )
         parts = {label: self._to_body(part) for label, part in self.parts.items()}
-        return replace(
-            GridObject.from_outline(self.outline_B, parts=parts, max_cells=max_cells, name=name),
-            prior=PhysicalPrior(uniform_parts=len(parts) > 1),
-            height=self.height or None,
+        prior = PhysicalPrior(uniform_parts=len(parts) > 1)
+        obj = GridObject.from_outline(
+            self.outline_B, parts=parts, max_cells=max_cells, name=name, prior=prior
         )
+        return replace(obj, height=self.height or None)
 
     def _to_body(self, shape: Polygon) -> Polygon:
         """Moves a shape from W to the body frame, m."""
