@@ -17,6 +17,8 @@ ONE_OBJECT_ALONE = {
     "friction": "several lie on the table, where pushes show the same loads with any friction",
     "weighings": "several are weighed one by one, each with its own model",
     "keep": "of several, no push is refused for disagreeing with the others",
+    "fit_frame": "of several, each outline is supposed to be in the frame of its logged poses",
+    "body_at": "several are placed in the frames of their logged poses by their files",
     "steer": "a steered finger pushes one object, and none into another",
 }
 """What is for one object alone, by the name of the argument that asks for it, with the reason."""

@@ -17,6 +17,8 @@ from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernel_call import run_pushes, shifts_loads
 from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     CONTACT_FRICTION,
+    POSE_THETA,
+    POSE_X,
     START_X,
     START_Y,
 )
@@ -142,15 +144,16 @@ class PushBatch:
                 them.
 
         Returns:
-            The poses (R, 3), m and rad, push by push, and their exact derivatives (R, 3, n+3+D).
+            The poses (R, 3), m and rad, push by push, and their exact derivatives (R, 3, n+6+D).
 
         They are by the n masses, 1/kg, by the contact friction, by the place (x, y) where the push
-        begins, 1/m, and by the D changes of the frictions.
+        begins, 1/m, by the object's first pose (x, y, theta), and by the D changes of the
+        frictions.
         """
         n = self.obj.n
         poses = np.empty((self.offsets[-1], 3))
         extra = 0 if along is None else along.shape[1]
-        derivatives = np.zeros((self.offsets[-1], 3, n + 3 + extra))
+        derivatives = np.zeros((self.offsets[-1], 3, n + 6 + extra))
         for group in self._groups:
             shifted = shifts_loads(params, group.table)
             changes = along if group.table is not None else None
@@ -164,10 +167,11 @@ class PushBatch:
             derivatives[group.rows, :, :n] = by_mass
             derivatives[group.rows, :, n] = raw.other[..., CONTACT_FRICTION]
             derivatives[group.rows, :, n + 1 : n + 3] = raw.other[..., START_X : START_Y + 1]
+            derivatives[group.rows, :, n + 3 : n + 6] = raw.other[..., POSE_X : POSE_THETA + 1]
             if changes is not None:
                 # With mu_i m_i held, m_i changes as 1 / mu_i.
                 held = raw.calc_friction() * params.friction - by_mass * params.mass
-                derivatives[group.rows, :, n + 3 :] = held @ changes
+                derivatives[group.rows, :, n + 6 :] = held @ changes
         return poses, derivatives
 
     def _run(

@@ -49,6 +49,7 @@ def identify(
     friction: HeldFriction | None = None,
     weighings: MassTestLog | None = None,
     keep: Collection[str] = (),
+    fit_frame: bool = False,
 ) -> Identification | JointIdentification:
     """Learns masses and frictions of an object, or of several, from pushes.
 
@@ -83,6 +84,9 @@ def identify(
             absolute.
         keep: names of pushes that are learned from however little they agree with the others.
             Poses that no motion of the pusher explains are left out of them, too.
+        fit_frame: whether the frame of the outline may be off that of the logged poses, by an
+            unknown pose that is learned together with the rest (default method only). The model's
+            object is moved there, and its `outline_pose` says by how much, and how surely.
 
     Returns:
         The model, its spread, and what the log cannot tell; a `JointIdentification` of several
@@ -99,8 +103,8 @@ def identify(
             not have; the seed is no whole number or negative; the log is empty or lacks
             observations; or no loads of the cells explain it with what is told of the object; or
             the frictions are not one positive number for each cell, or cannot be held by the
-            method; or the equations of the weighings cannot be solved; or the log has no push of a
-            name in `keep`.
+            method; or the method cannot find the outline's frame; or the equations of the weighings
+            cannot be solved; or the log has no push of a name in `keep`.
         SimulationError: the regime is unknown, or the friction law does not know it.
         PushLogError: the object hung over the table's edge during every push, or the log or the
             weighings cannot be true of the object, see `pushes.plausibility`; or the log's file
@@ -119,6 +123,7 @@ def identify(
         friction=friction,
         weighings=weighings,
         keep=keep,
+        fit_frame=fit_frame,
     )
     found = fit(task)
     if isinstance(found.model, JointIdentification):

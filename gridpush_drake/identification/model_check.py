@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.fit.learning_task import Found
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.identification.prediction import calc_final_cell_errors
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.identification.statistics.center_of_mass import CenterOfMass
-from gridpush_drake.identification.statistics.outliers import remove_outliers
+from gridpush_drake.identification.statistics.outliers import remove_outliers, weigh_pushes
 from gridpush_drake.pushes.plausibility import explain_unused_forces
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -31,13 +32,14 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
     Returns:
         Mean cell errors, m: with uniform parameters, as before any push, and as learned.
     """
-    return _calc_errors(result, select_used(result, log))
+    even_errors, errors = _calc_errors(result, select_used(result, log))
+    return float(np.mean(even_errors)), float(np.mean(errors))
 
 
-def _calc_errors(result: Identification, used: PushLog) -> tuple[float, float]:
-    """Calculates the errors of `calc_training_errors`, of pushes of which nothing was refused."""
-    before = calc_mean_cell_error(Model(result.obj, physics=result.physics), used)
-    return before, calc_mean_cell_error(result, used)
+def _calc_errors(result: Identification, used: PushLog) -> tuple[Array, Array]:
+    """Calculates the errors of `calc_training_errors`, of each push (P,) that was used."""
+    even = Model(result.obj, physics=result.physics)
+    return calc_final_cell_errors(even, used), calc_final_cell_errors(result, used)
 
 
 def find_center_conflict(result: Identification) -> float | None:
@@ -66,6 +68,9 @@ def select_used(result: Identification, log: PushLog) -> PushLog:
 @dataclass(frozen=True)
 class FitCheck:
     """How far off a model is from the pushes that it was learned from.
+
+    All are means over the pushes, in which those that neither the model nor an even object explains
+    count little (`weigh_pushes`).
 
     Attributes:
         error: mean cell error of the model, m.
@@ -106,11 +111,12 @@ def check_fit(result: Identification, used: PushLog) -> FitCheck | None:
     for seen in used:
         cells = obj.cells_at([seen.pose, seen.final_pose])
         moved.append(np.linalg.norm(np.diff(cells, axis=0), axis=2).mean())
-    even_error, error = _calc_errors(result, used)
+    even_errors, errors = _calc_errors(result, used)
+    weights = weigh_pushes([even_errors, errors], result.noise.pose)
     return FitCheck(
-        error=error,
-        even_error=even_error,
-        motion=float(np.mean(moved)),
+        error=float(np.average(errors, weights=weights)),
+        even_error=float(np.average(even_errors, weights=weights)),
+        motion=float(np.average(moved, weights=weights)),
         noise_std=result.noise_std,
     )
 

@@ -408,7 +408,9 @@ def _describe(result: Identification) -> ModelSchema:
             for out in result.outliers
         ],
         object=LearnedObjectSchema.model_validate(
-            describe_object(obj.name, obj.grid, obj.prior, obj.height)
+            describe_object(
+                obj.name, obj.grid, obj.prior, obj.height, outline_pose=obj.outline_pose
+            )
         ),
         contact_friction=result.params.contact_friction,
         contact_friction_std=result.std.contact_friction,
@@ -533,6 +535,7 @@ def _restore(schema: ModelSchema) -> Identification:
         outline=grid.outline,
         prior=schema.object.to_prior(),
         height=schema.object.height,
+        outline_pose=schema.object.to_outline_pose(),
     )
     cells = schema.cells
     params = CellParameters(

@@ -221,9 +221,12 @@ def summarize_errors(
 
 def calc_mean_cell_error(bodies: Bodies, log: PushLog) -> float:
     """Mean cell error of a log's final poses, m; NaN where it has no push."""
-    if not len(log):
-        return nan
+    return float(np.mean(calc_final_cell_errors(bodies, log))) if len(log) else nan
+
+
+def calc_final_cell_errors(bodies: Bodies, log: PushLog) -> Array:
+    """Cell errors (P,) of a log's final poses, m; pushes that were not seen to end are left out."""
     resolved = bodies.resolve(find_fastest(log))
     predictions = [_predict_push(resolved, seen, log.table) for seen in log]
     errors = calc_final_errors(bodies.obj, predictions, log)
-    return float(np.mean([error.cell for error in errors if error is not None]))
+    return np.array([error.cell for error in errors if error is not None])

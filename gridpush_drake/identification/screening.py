@@ -45,6 +45,7 @@ def screen(
     friction: HeldFriction | None,
     weighings: MassTestLog | None,
     keep: Collection[str],
+    fit_frame: bool,
 ) -> LearningTask:
     """Checks what `identify` is asked, and screens the log; the arguments are those of `identify`.
 
@@ -64,15 +65,17 @@ def screen(
         refuse_several(IdentificationError, "friction", friction is not None)
         refuse_several(IdentificationError, "weighings", weighings)
         refuse_several(IdentificationError, "keep", keep)
+        refuse_several(IdentificationError, "fit_frame", fit_frame)
         _refuse_without_gradients(chosen, asked)
         screened = _check_joint_log(model, log)
         physics = asked.with_regime("quasi_static")
     else:
         _refuse_unable(chosen, model.with_physics(asked), start, friction)
+        _refuse_without_frame(chosen, fit_frame)
         # Weighings first: to learn from the pushes takes a while.
         check_plausible_mass_tests(model.obj, weighings or MassTestLog())
         usable = log if chosen.abilities.takes_overhang else log.on_table
-        screened = _check_log(model.obj, usable, keep)
+        screened = _check_log(model.obj, usable, keep, fit_frame)
         physics = resolve_physics(asked, model.obj, screened.log)
     return LearningTask(
         method=chosen,
@@ -84,6 +87,7 @@ def screen(
         starts=() if start is None else start.fit_starts,
         friction=friction,
         weighings=weighings or MassTestLog(),
+        fit_frame=fit_frame,
     )
 
 
@@ -125,6 +129,15 @@ def _refuse_without_gradients(method: LearningMethod, physics: Physics) -> None:
         )
 
 
+def _refuse_without_frame(method: LearningMethod, fit_frame: bool) -> None:
+    """Raises IdentificationError: a method is asked for the outline's frame and cannot find it."""
+    if fit_frame and not method.abilities.fits_frame:
+        raise IdentificationError(
+            f"fit_frame: the method {method.name} cannot find where the outline is; expected a "
+            "method that can, such as default"
+        )
+
+
 def _check_kept(keep: Collection[str], log: PushLog) -> None:
     """Raises IdentificationError: a push that is to be kept is not in the log."""
     if isinstance(keep, str):
@@ -138,7 +151,9 @@ def _check_kept(keep: Collection[str], log: PushLog) -> None:
             )
 
 
-def _check_log(obj: GridObject, log: PushLog, keep: Collection[str]) -> ScreenedLog:
+def _check_log(
+    obj: GridObject, log: PushLog, keep: Collection[str], fit_frame: bool
+) -> ScreenedLog:
     """Refuses a log that nothing can be learned from, and the poses that jump.
 
     A log without a pusher radius takes that of the object's prior.
@@ -156,7 +171,7 @@ def _check_log(obj: GridObject, log: PushLog, keep: Collection[str]) -> Screened
     if not log.radius_given and obj.prior.pusher_radius is not None:
         log = log.with_radius(obj.prior.pusher_radius)
     screened = ScreenedLog.of_jumps(obj, log, keep)
-    check_plausible(obj, screened.log, learning=True)
+    check_plausible(obj, screened.log, learning=True, frame_known=not fit_frame)
     return screened
 
 

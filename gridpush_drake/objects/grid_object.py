@@ -17,13 +17,21 @@ from gridpush_drake.errors import ObjectError, require_positive
 from gridpush_drake.files import write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.polygons import OutlineEdges
-from gridpush_drake.geometry.se2 import Array, IntArray, transform
+from gridpush_drake.geometry.se2 import (
+    Array,
+    IntArray,
+    check_vector,
+    compose,
+    transform,
+    transform_shape,
+)
 from gridpush_drake.notebook import count, draw_cells, make_page
 from gridpush_drake.objects.adjacency import calc_adjacency
 from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, MIN_SIZE, CellGrid
 from gridpush_drake.objects.mask import coarsen_mask
 from gridpush_drake.objects.object_file import (
     EXPECTED_NAME,
+    OutlinePose,
     PhysicalPrior,
     dump_object,
     is_name,
@@ -47,6 +55,8 @@ class GridObject(Frozen):
         outline: contour with holes, body frame, m; what the pusher touches.
         prior: what is known of mass and friction beforehand.
         height: height above the table, m; None where it is not known.
+        outline_pose: where the frame in which the outline was given is in the body frame, and how
+            surely; None where both are the same.
 
     Raises:
         ObjectError: shapes disagree, or a value is out of range.
@@ -59,6 +69,7 @@ class GridObject(Frozen):
     outline: Polygon
     prior: PhysicalPrior = field(default_factory=PhysicalPrior)
     height: float | None = None
+    outline_pose: OutlinePose | None = None
 
     def __post_init__(self) -> None:
         if not is_name(self.name):
@@ -244,6 +255,7 @@ class GridObject(Frozen):
                 *make_cells(schema, name, path.parent, largest_piece),
                 schema.to_prior(),
                 schema.height,
+                schema.to_outline_pose(),
             )
         except ObjectError as error:
             raise ObjectError(f"{path}: {error}") from error
@@ -256,7 +268,42 @@ class GridObject(Frozen):
         Raises:
             OutputError: the file exists and `force` is not set, or it cannot be written.
         """
-        write_whole(path, dump_object(self.name, self.grid, self.prior, self.height), force)
+        text = dump_object(
+            self.name, self.grid, self.prior, self.height, outline_pose=self.outline_pose
+        )
+        write_whole(path, text, force)
+
+    def place(self, pose: ArrayLike, std: ArrayLike = (0.0, 0.0, 0.0)) -> "GridObject":
+        """Moves outline and cells to a pose in the body frame, which stays where it is.
+
+        Args:
+            pose: (x, y, theta) of the frame of the present outline in the new body frame, m and
+                rad.
+            std: (3,) standard deviations of the pose, where it was measured, m and rad.
+
+        Returns:
+            The object. `outline_pose` says where the frame is in which its outline was given.
+
+        Raises:
+            ObjectError: a value is not finite, or the outline is moved too far.
+        """
+        X = check_vector(ObjectError, "pose", pose, 3)
+        # X_BO = X_BB' X_B'O, where the object may have been moved before.
+        before = (0.0, 0.0, 0.0) if self.outline_pose is None else self.outline_pose.pose
+        # What was told of the center of mass moves along.
+        center = self.prior.center_of_mass
+        if center is not None:
+            x, y = transform(X, center).tolist()
+            center = (x, y)
+        x, y, theta = compose(X, before).tolist()
+        std_x, std_y, std_theta = check_vector(ObjectError, "std", std, 3).tolist()
+        return replace(
+            self,
+            p_BC=transform(X, self.p_BC),
+            outline=transform_shape(X, self.outline),
+            prior=replace(self.prior, center_of_mass=center),
+            outline_pose=OutlinePose(pose=(x, y, theta), std=(std_x, std_y, std_theta)),
+        )
 
     def forget(self) -> "GridObject":
         """Makes the object of which nothing is told but its outline and height."""

@@ -11,7 +11,7 @@ import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import shapely
@@ -73,14 +73,28 @@ Rows = Callable[[int, int], NDArray[np.generic]]
 """Reads an image's rows (rows, width) from the first number to before the second."""
 
 
-def read_labels(path: Path) -> NDArray[np.uint16]:
+class CroppedImage(NamedTuple):
+    """A label image, cropped to what is not background.
+
+    Attributes:
+        labels: (height, width) labels; rows run down the image, and 0 is background.
+        left: pixels of the whole image to the left of it.
+        top: pixels of the whole image above it.
+    """
+
+    labels: NDArray[np.uint16]
+    left: int
+    top: int
+
+
+def read_labels(path: Path) -> CroppedImage:
     """Reads a label image, cropped to what is not background.
 
     Args:
         path: a PGM (plain or raw, 8 or 16 bit) or PNG (gray of 1 to 16 bit, or palette) file.
 
     Returns:
-        (height, width) labels; rows run down the image, and 0 is background.
+        The labels, and where they are in the image.
 
     Raises:
         ObjectError: the file cannot be read, is a color image or another kind of file, is too
@@ -98,7 +112,7 @@ def read_labels(path: Path) -> NDArray[np.uint16]:
     raise ObjectError(f"{path}: is neither PGM nor PNG; {EXPECTED_MASK}")
 
 
-def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
+def crop(path: Path, rows: Rows, width: int, height: int) -> CroppedImage:
     """Cuts the bounding box of what is not 0 out of an image that is read strip by strip.
 
     Args:
@@ -108,7 +122,7 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
         height: of the image, pixels.
 
     Returns:
-        (height, width) labels within the box.
+        The labels within the box, and where it is.
 
     Raises:
         ObjectError: all of the image is 0.
@@ -131,7 +145,7 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
         labels[first - top : last - top] = rows(first, last)[:, left:right]
     if labels.shape == (height, width):
         _warn_of_inversion(path, labels)
-    return labels
+    return CroppedImage(labels, left, top)
 
 
 def _find_range(used: NDArray[np.bool_]) -> tuple[int, int]:
@@ -163,7 +177,7 @@ def _warn_of_inversion(path: Path, labels: NDArray[np.uint16]) -> None:
         )
 
 
-def _read_png(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
+def _read_png(path: Path, file: BinaryIO, head: bytes) -> CroppedImage:
     """Reads a PNG file, which begins with `head`, and crops it."""
     # The plugin is opened itself: Image.open would measure it by Pillow's global limit instead of
     # MAX_PIXELS.
@@ -186,7 +200,7 @@ def _read_png(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
         raise ObjectError(f"{path}: is a damaged PNG ({error}); {EXPECTED_MASK}") from error
 
 
-def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
+def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> CroppedImage:
     """Reads a PGM file, which begins with `head`, and crops it."""
     header = PGM_HEADER.match(head)
     if header is None:
@@ -240,7 +254,13 @@ PIXEL_CENTER = 0.5
 
 
 def coarsen_mask(
-    path: Path, meters_per_pixel: float, max_cells: int, *, largest_piece: bool = False, name: str
+    path: Path,
+    meters_per_pixel: float,
+    max_cells: int,
+    *,
+    largest_piece: bool = False,
+    name: str,
+    origin: tuple[float, float] | None = None,
 ) -> CellGrid:
     """Reads a label image and coarsens it to square cells, as `GridObject.from_mask` does.
 
@@ -253,9 +273,11 @@ def coarsen_mask(
         max_cells: largest number of cells; none is smaller than a pixel.
         largest_piece: whether the largest piece is taken where there are several.
         name: the object's name, for messages.
+        origin: (x, y) of the body frame's origin in the image, pixels from its upper left corner, y
+            down; the cells' centroid where None.
 
     Returns:
-        Cells and outline; the body frame is at the cells' centroid, x right and y up.
+        Cells and outline; x of the body frame points right and y up in the image.
 
     Raises:
         ObjectError: the image cannot be read or is no label image, is empty or in several pieces,
@@ -263,7 +285,8 @@ def coarsen_mask(
     """
     check_max_cells(name, max_cells)
     require_positive(ObjectError, f"{path}: ", "m", meters_per_pixel=meters_per_pixel)
-    labels = _keep_one_piece(path, read_labels(path), largest_piece)
+    image = _keep_one_piece(path, read_labels(path), largest_piece)
+    labels = image.labels
     values = _find_values(path, labels)
 
     # From here to the last step, lengths are in blocks of pixels, with y down.
@@ -274,7 +297,10 @@ def coarsen_mask(
     majority = _vote(labels, values, block, cells)
     contour = calc_contour(coverage)
 
+    # The body frame's origin: where it was told to be in the whole image, or the cells' centroid.
     center = cells.centers.mean(axis=0)
+    if origin is not None:
+        center = (np.array(origin) - [image.left, image.top]) / block
     scale = meters_per_pixel * block * np.array([1.0, -1.0])
     outline = shapely.transform(contour, lambda p: (p - center) * scale)
     return CellGrid(
@@ -285,25 +311,23 @@ def coarsen_mask(
     )
 
 
-def _keep_one_piece(
-    path: Path, labels: NDArray[np.uint16], largest_piece: bool
-) -> NDArray[np.uint16]:
+def _keep_one_piece(path: Path, image: CroppedImage, largest_piece: bool) -> CroppedImage:
     """Leaves one piece of pixels that touch along a side or at a corner, cropped to it.
 
     Args:
         path: the image's file, for messages.
-        labels: (height, width) labels.
+        image: the labels.
         largest_piece: whether the largest piece is taken where there are several.
 
     Returns:
-        (height, width) labels of the piece.
+        The labels of the piece.
 
     Raises:
         ObjectError: there are several, and `largest_piece` is not set.
     """
-    pieces, count = label(labels != 0, np.ones((3, 3)))
+    pieces, count = label(image.labels != 0, np.ones((3, 3)))
     if count == 1:
-        return labels
+        return image
     sizes = np.bincount(pieces.ravel())[1:]
     if not largest_piece:
         shown = [str(size) for size in np.sort(sizes)[::-1][:MAX_SHOWN]]
@@ -314,7 +338,11 @@ def _keep_one_piece(
         )
     kept = int(np.argmax(sizes)) + 1
     box = find_objects(pieces, kept)[-1]
-    return np.where(pieces[box] == kept, labels[box], 0).astype(np.uint16)
+    return CroppedImage(
+        labels=np.where(pieces[box] == kept, image.labels[box], 0).astype(np.uint16),
+        left=image.left + box[1].start,
+        top=image.top + box[0].start,
+    )
 
 
 def _find_values(path: Path, labels: NDArray[np.uint16]) -> IntArray:

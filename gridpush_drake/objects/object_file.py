@@ -5,7 +5,7 @@ object of this form, are read and written in `identification.model_file`.
 """
 
 import unicodedata
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -28,6 +28,7 @@ from gridpush_drake.objects.cells import (
 )
 from gridpush_drake.objects.mask import coarsen_mask
 from gridpush_drake.objects.outline import MAX_SIZE, fill_outline, make_polygon
+from gridpush_drake.units import DEG_PER_RAD, MM_PER_M
 from gridpush_drake.yaml_file import StrictSchema, check_mapping, dump_yaml, read_mapping
 
 LEAST_FRICTION = 1e-6
@@ -151,6 +152,33 @@ class PhysicalPrior:
             object.__setattr__(self, "center_of_mass", (x, y))
 
 
+@dataclass(frozen=True)
+class OutlinePose:
+    """Where the frame in which an outline was given is in an object's body frame, X_BO.
+
+    The body frame is the one in which the object's poses are logged.
+
+    Attributes:
+        pose: (x, y, theta), m and rad.
+        std: standard deviations of these, m and rad; 0 where it was set by hand.
+    """
+
+    pose: tuple[float, float, float]
+    std: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def describe(self) -> str:
+        """Says where it is, and how surely, in mm and degrees."""
+        units = (MM_PER_M, MM_PER_M, DEG_PER_RAD)
+        known = any(self.std)
+        words = []
+        for axis, value, std, unit in zip(
+            ("x", "y", "theta"), self.pose, self.std, units, strict=True
+        ):
+            spread = f" ± {std * unit:.1f}" if known else ""
+            words.append(f"{axis} {value * unit:.1f}{spread}{'°' if axis == 'theta' else ' mm'}")
+        return ", ".join(words)
+
+
 MAX_RADIUS = 1.0
 """Largest radius of a pusher, m. A larger one is refused, for it was given in millimeters."""
 
@@ -206,6 +234,11 @@ class MaskSchema(StrictSchema):
 
     image: str = Field(description="the name of a PGM or PNG file beside this one")
     meters_per_pixel: Length
+    origin: Point | None = Field(
+        None,
+        description="[x, y] of the body frame's origin in the image, pixels from its upper left "
+        "corner",
+    )
 
 
 class PartSchema(StrictSchema):
@@ -293,6 +326,20 @@ class SeenSchema(StrictSchema):
     tag: TagSchema | None = Field(None, description="id, size and pose")
 
 
+class OutlinePoseSchema(StrictSchema):
+    """Where the frame in which the outline was given first is in the body frame; see `OutlinePose`.
+
+    For reading: outline and cells of the file are in the body frame already.
+    """
+
+    pose: Annotated[tuple[float, float, float], Strict(False)] = Field(
+        description="[x, y, theta], in m and rad"
+    )
+    std: Annotated[tuple[float, float, float], Strict(False)] = Field(
+        (0.0, 0.0, 0.0), description="[x, y, theta], in m and rad"
+    )
+
+
 class ObjectSchema(StrictSchema):
     """An object: a whole object file, and the object of a model file."""
 
@@ -302,7 +349,9 @@ class ObjectSchema(StrictSchema):
     parts: list[PartSchema] = Field(
         [], description="a list of parts, each with a label and an outline"
     )
-    mask: MaskSchema | None = Field(None, description="image and meters_per_pixel")
+    mask: MaskSchema | None = Field(
+        None, description="image, meters_per_pixel and, where wanted, origin"
+    )
     cells: CellsSchema | None = Field(
         None, description="size, centers and, where there are several parts, labels"
     )
@@ -314,6 +363,7 @@ class ObjectSchema(StrictSchema):
     )
     height: Length | None = Field(None, description=EXPECTED_LENGTH)
     seen: SeenSchema | None = Field(None, description="pixel, pose and, where there is one, tag")
+    outline_pose: OutlinePoseSchema | None = Field(None, description="pose and std")
     total_mass: float | None = Field(
         None,
         ge=LEAST_MASS,
@@ -359,6 +409,11 @@ class ObjectSchema(StrictSchema):
                     f"{key} goes with outline; a mask's own background and labels say it"
                 )
         return self
+
+    def to_outline_pose(self) -> OutlinePose | None:
+        """Takes what the file says of the frame in which the outline was given first."""
+        where = self.outline_pose
+        return None if where is None else OutlinePose(pose=where.pose, std=where.std)
 
     def to_prior(self) -> PhysicalPrior:
         """Takes what the file says of mass and friction.
@@ -429,6 +484,7 @@ def make_cells(
             schema.max_cells,
             largest_piece=largest_piece,
             name=name,
+            origin=schema.mask.origin,
         )
     assert schema.outline is not None
     outline = make_polygon(schema.outline, "outline", tuple(schema.holes))
@@ -458,6 +514,7 @@ def describe_object(
     prior: PhysicalPrior,
     height: float | None = None,
     seen: SeenSchema | None = None,
+    outline_pose: OutlinePose | None = None,
 ) -> dict[str, Any]:
     """Lists the plain values of an object, in a file's order.
 
@@ -469,6 +526,8 @@ def describe_object(
         prior: what is known of its mass and friction.
         height: its height, m; None where it is not known.
         seen: where its frame was in the photograph it was made of; None without one.
+        outline_pose: where the frame in which the outline was given first is in the body frame;
+            None where both are the same.
 
     Returns:
         The values by key.
@@ -483,6 +542,8 @@ def describe_object(
         data["height"] = float(height)
     if seen is not None:
         data["seen"] = seen.model_dump(mode="json", exclude_none=True)
+    if outline_pose is not None:
+        data["outline_pose"] = {key: list(value) for key, value in asdict(outline_pose).items()}
     if prior.total_mass is not None:
         data["total_mass"] = float(prior.total_mass)
     if prior.center_of_mass is not None:
@@ -507,9 +568,10 @@ def dump_object(
     prior: PhysicalPrior,
     height: float | None = None,
     seen: SeenSchema | None = None,
+    outline_pose: OutlinePose | None = None,
 ) -> str:
     """An object file's text; the arguments are those of `describe_object`."""
-    data = describe_object(name, grid, prior, height=height, seen=seen)
+    data = describe_object(name, grid, prior, height=height, seen=seen, outline_pose=outline_pose)
     return dump_yaml(data, default_flow_style=None, allow_unicode=True)
 
 

@@ -226,7 +226,8 @@ def find_other_body_frames(obj: GridObject, log: PushLog) -> Iterator[str]:
         x, y = shift * MM_PER_M
         yield (
             f"object_x, object_y: of another body frame than the outline of {obj.name}, which then "
-            f"lies at ({x:.0f}, {y:.0f}) mm in it? {seen}, there {left * MM_PER_M:.2g} mm"
+            f"lies at ({x:.0f}, {y:.0f}) mm in it? {seen}, there {left * MM_PER_M:.2g} mm; "
+            "identify --fit-frame learns where it lies, --body-at says it"
         )
     # where tips slip off, they end far off and yet were at the outline when the pushes began
     elif _are_misplaced(obj, log, AS_SAID).mean() >= FEW_FRACTION:

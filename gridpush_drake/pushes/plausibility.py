@@ -114,12 +114,16 @@ class Finding(NamedTuple):
     about_first: bool
 
 
-def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
+def check_plausible(
+    obj: GridObject, log: PushLog, *, learning: bool, frame_known: bool = True
+) -> None:
     """Refuses a log that cannot be true of an object, and warns of one that hardly can.
 
     Args:
         learning: whether later poses are learned from, so that an impossible one spoils the result;
             where pushes are only to be predicted, it is warned of.
+        frame_known: whether the outline's frame is said to be that of the logged poses; where it is
+            not, an outline that is off is no news.
 
     Raises:
         PushLogError: lengths or angles are in other units, a pusher is faster than any, or, where
@@ -129,7 +133,7 @@ def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
     Warns:
         PushLogWarning: what may be true, but hardly is.
     """
-    for finding in find_implausible(obj, log):
+    for finding in find_implausible(obj, log, frame_known=frame_known):
         _report(finding, log.source, refuse=finding.about_first or learning)
 
 
@@ -148,10 +152,16 @@ def check_plausible_mass_tests(obj: GridObject, log: MassTestLog) -> None:
         _report(finding, log.source, refuse=True)
 
 
-def find_implausible(obj: GridObject, log: PushLog) -> list[Finding]:
-    """Finds what cannot be true of a log, or hardly, at most one finding of a kind."""
+def find_implausible(obj: GridObject, log: PushLog, *, frame_known: bool = True) -> list[Finding]:
+    """Finds what cannot be true of a log, or hardly, at most one finding of a kind.
+
+    Args:
+        frame_known: as for `check_plausible`.
+    """
     finders = [
-        (partial(find, obj, log), certain, first) for find, certain, first in PLAUSIBILITY_CHECKS
+        (partial(find, obj, log), certain, first)
+        for find, certain, first in PLAUSIBILITY_CHECKS
+        if frame_known or find is not find_other_body_frames
     ]
     return _collect(finders, ("push", "pushes"))
 

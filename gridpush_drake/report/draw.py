@@ -25,7 +25,7 @@ from shapely.geometry.polygon import orient
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError
-from gridpush_drake.geometry.se2 import Array, transform
+from gridpush_drake.geometry.se2 import Array, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.units import M_PER_CM, MM_PER_M
 
@@ -67,6 +67,12 @@ OBJECT_MARGIN = 0.04
 
 FRAME_FRACTION = 0.03
 """Room about an object that is drawn without axes, in its larger side."""
+
+AXIS_FRACTION = 0.15
+"""Length of the axes of a body frame, in the object's larger side."""
+
+AXIS_NAME_GAP = 2
+"""Gap between a frame's origin and its name, and between two names, points."""
 
 SCALE_DROP = 0.05
 """Distance of the scale bar below an object, in the object's larger side."""
@@ -270,6 +276,9 @@ def _squares(obj: GridObject, pose: ArrayLike) -> list[Array]:
     """Calculates the corners (4, 2) of each cell in the world frame, m."""
     half = obj.cell_size / 2
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    # the cells are turned with the outline, where that was moved in the body frame
+    if obj.outline_pose is not None:
+        corners = rotate(obj.outline_pose.pose[2], corners)
     p_BQ = (obj.p_BC[:, None] + corners).reshape(-1, 2)
     return list(transform(pose, p_BQ).reshape(-1, 4, 2))
 
@@ -310,6 +319,33 @@ def draw_arrow(ax: Axes, start: ArrayLike, end: ArrayLike, color: str) -> None:
         "shrinkB": 0,
     }
     ax.annotate("", tuple(np.asarray(end)), tuple(np.asarray(start)), arrowprops=style, zorder=5)
+
+
+def draw_body_frame(ax: Axes, obj: GridObject) -> None:
+    """Draws the axes x and y of an object's body frame, with its name, in a picture in that frame.
+
+    Where the outline was moved in the body frame, the frame in which it was given is drawn, too.
+    """
+    x0, y0, x1, y1 = obj.outline.bounds
+    length = AXIS_FRACTION * max(x1 - x0, y1 - y0)
+    frames = [("body frame", np.zeros(3), INK_COLOR)]
+    if obj.outline_pose is not None:
+        frames.append(("outline's frame", np.array(obj.outline_pose.pose), PRIOR_COLOR))
+    for i, (name, pose, color) in enumerate(frames):
+        origin, x, y = transform(pose, length * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+        draw_arrow(ax, origin, x, color)
+        draw_arrow(ax, origin, y, color)
+        # names one below the other: the frames are near each other
+        ax.annotate(
+            name,
+            tuple(origin),
+            (AXIS_NAME_GAP, -(1 + i) * (FONT_SIZE + AXIS_NAME_GAP)),
+            textcoords="offset points",
+            fontsize=FONT_SIZE - 1,
+            color=color,
+            annotation_clip=False,
+            zorder=5,
+        )
 
 
 def draw_numbered_push(ax: Axes, push: Push, number: int, color: str) -> None:

@@ -30,6 +30,7 @@ from gridpush_drake.report.draw import (
     add_color_bar,
     add_scale_bar,
     draw_arrow,
+    draw_body_frame,
     draw_cells,
     draw_outline,
     draw_parts,
@@ -92,6 +93,7 @@ def draw_object(obj: GridObject) -> Figure:
     figure, axes = make_panels(obj, 1, 1, width=HALF_WIDTH, max_height=HALF_WIDTH)
     ax = axes[0, 0]
     draw_parts(ax, obj)
+    draw_body_frame(ax, obj)
     _put_legend_above(ax)
     hide_axes(ax)
     frame_object(ax, obj)
@@ -105,6 +107,7 @@ def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None =
     figure, axes = make_panels(obj, 1, 1, width=HALF_WIDTH, max_height=HALF_WIDTH)
     ax = axes[0, 0]
     draw_cells(ax, obj)
+    draw_body_frame(ax, obj)
     names = {*result.unused_pushes, *(outlier.push for outlier in result.outliers if outlier.whole)}
     used = [seen for seen in log if seen.name not in names]
     left_out = [seen for seen in log if seen.name in names]

@@ -112,6 +112,8 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
         ),
         ("left unexplained", f"{result.noise_std * MM_PER_M:.2f} mm per axis", ""),
     ]
+    if obj.outline_pose is not None:
+        rows.append(("outline's frame, in the body frame", obj.outline_pose.describe(), ""))
     if result.force is not None:
         friction = result.force.friction
         std = friction * result.force.relative_std

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from typing import get_args
 
+import numpy as np
 import pytest
 import yaml
 
@@ -13,6 +14,7 @@ from gridpush_drake.cli.learn import identify as command
 from gridpush_drake.identification.methods import METHOD_NAMES
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.pushes.push_log import PushLog
+from tests.helpers.made_logs import log_elsewhere
 
 
 def test_learns_a_model_and_reports_it(gridpush, block, pushes, tmp_path):
@@ -27,6 +29,30 @@ def test_learns_a_model_and_reports_it(gridpush, block, pushes, tmp_path):
     assert report.read_text().startswith("<!doctype html>")
     assert gridpush("predict", model, pushes, "--out", tmp_path / "predicted.csv").code == 0
     assert gridpush("show", model, "--out", tmp_path / "picture.png").code == 0
+
+
+def test_an_outline_in_another_frame_is_placed_by_the_pushes_or_by_hand(
+    gridpush, refuses, block, pushes, tmp_path
+):
+    # the same pushes, logged in a frame in which the outline's is at (4, -3) mm
+    shift = [0.004, -0.003, 0.0]
+    log = PushLog.read_csv(pushes)
+    shifted = tmp_path / "shifted.csv"
+    log_elsewhere(log, np.array(shift)).write_csv(shifted)
+    learned, placed = tmp_path / "learned.yaml", tmp_path / "placed.yaml"
+    outcome = gridpush("identify", block, shifted, "--out", learned, "--fit-frame", "--json")
+    found = json.loads(outcome.out)["outline_pose"]
+    assert abs(found["pose"][0] - 0.004) < 2 * found["std"][0] < 0.006
+    assert abs(found["pose"][1] + 0.003) < 2 * found["std"][1] < 0.006
+    assert read_model(learned).obj.outline_pose.pose == tuple(found["pose"])
+
+    by_hand = ("identify", block, shifted, "--out", placed, "--body-at", "0.004,-0.003,0")
+    outcome = gridpush(*by_hand)
+    assert (
+        "the outline's frame is in the body frame of the log at x 4.0 mm, y -3.0 mm" in outcome.out
+    )
+    assert read_model(placed).obj.outline_pose.pose == tuple(shift)
+    refuses(*by_hand[:-1], "0.004,-0.003", "--force", says=["--body-at", "x,y,theta"])
 
 
 def test_prints_one_json_document(gridpush, block, pushes, tmp_path):

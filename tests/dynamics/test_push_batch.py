@@ -68,7 +68,7 @@ def test_a_batch_is_its_pushes_one_by_one_bit_for_bit(
             assert np.array_equal(poses[rows], motion.poses[one.rows])
             named = motion.jacobian
             expected = np.concatenate(
-                [named.mass, named.contact_friction[..., None], named.start], axis=2
+                [named.mass, named.contact_friction[..., None], named.start, named.pose], axis=2
             )
             assert np.array_equal(J[rows], expected)
             assert touched[i] == (motion.status != MotionStatus.NO_CONTACT)
@@ -91,7 +91,7 @@ def test_a_pose_may_be_wanted_twice(regime: Regime) -> None:
 def test_no_pushes_are_no_poses() -> None:
     poses, J = PushBatch(OBJ, [], QUASI_STATIC).differentiate(CellParameters.uniform(OBJ))
     assert poses.shape == (0, 3)
-    assert J.shape == (0, 3, OBJ.n + 3)
+    assert J.shape == (0, 3, OBJ.n + 6)
 
 
 def test_an_object_beside_its_table_is_refused() -> None:

@@ -1,11 +1,12 @@
-"""A block with a heavy end, pushed in simulation: a small problem for every search."""
+"""Made logs: a block with a heavy end, pushed in simulation, and logs in other frames."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.geometry.se2 import compose, invert
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -51,3 +52,17 @@ def _observe(obj: GridObject, truth: CellParameters, i: int, push: Push) -> Obse
     poses = simulate(Model(obj, truth), push, times=times, regime="inertial").poses
     rows = slice(OBSERVED_EVERY, None, OBSERVED_EVERY)
     return ObservedPush(f"push_{i}", push, poses[0], times[rows], poses[rows])
+
+
+def log_elsewhere(log: PushLog, frame: np.ndarray) -> PushLog:
+    """Logs the same pushes in a frame of the object in which the outline's is at `frame`."""
+    back = invert(frame)
+    pushes = [
+        replace(
+            seen,
+            pose=compose(seen.pose, back),
+            poses_observed=compose(seen.poses_observed, back),
+        )
+        for seen in log
+    ]
+    return replace(log, pushes=tuple(pushes))

@@ -249,7 +249,8 @@ class SteepOnce(PushProblem):
         if self.asked != 2:
             return linear
         by_z = [1e16 * J for J in linear.by_z]
-        return Linearization(linear.residuals, by_z, [1e16 * J for J in linear.by_inputs])
+        by_inputs = [1e16 * J for J in linear.by_inputs]
+        return replace(linear, by_z=by_z, by_inputs=by_inputs)
 
 
 def test_a_step_to_where_the_equations_cannot_be_solved_is_shortened() -> None:

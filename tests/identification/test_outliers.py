@@ -20,6 +20,7 @@ from gridpush_drake.identification.statistics.outliers import (
     calc_outlier_evidence,
     find_jumps,
     remove_outliers,
+    weigh_pushes,
 )
 from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject
@@ -194,6 +195,34 @@ def test_two_of_ten_pushes_of_another_object_are_named_though_loads_that_shift_c
         (f"foreign_{i}", True) for i in bad
     ]
     assert error <= WORST * learn_and_judge(obj, truth, log, log)[1]
+
+
+@pytest.mark.parametrize("helped", [3, 4])
+def test_pushes_in_which_a_hand_helped_do_not_veto_the_others(helped: int) -> None:
+    obj, truth, _ = make_case("claw_hammer", 2)
+    log = make_pokes(obj, truth, 10, 2, noise=NOISE, observations=1)
+    moved = ([0.02, 0.015, 0.3], [-0.015, 0.02, -0.25], [0.01, -0.02, 0.3], [-0.02, -0.01, 0.2])
+    pushes = [
+        replace(seen, poses_observed=seen.poses_observed + moved[i]) if i < helped else seen
+        for i, seen in enumerate(log)
+    ]
+    found = identify(Model(obj), replace(log, pushes=tuple(pushes)))
+    # three of ten may be refused; what is left of four is odd, and counts for little
+    assert len(found.outliers) == 3
+    assert {outlier.push for outlier in found.outliers} <= {f"poke_{i}" for i in range(helped)}
+    assert found.status == "learned"
+    even = calc_held_out_error(obj, truth, CellParameters.uniform(obj))
+    assert calc_held_out_error(obj, truth, found.params) < 0.3 * even
+
+
+def test_only_a_push_that_no_model_predicts_is_odd() -> None:
+    even = np.array([3.0, 2.5, 3.5, 30.0, 31.0])
+    learned = np.array([1.0, 1.2, 0.8, 1.1, 30.0])
+    weights = weigh_pushes([even, learned], 0.5)
+    # the median of 1.0, 1.2, 0.8, 1.1 and 30 is 1.1
+    np.testing.assert_allclose(weights, [1, 1, 1, 1, (3 * 1.1 / 30) ** 2])
+    # by a noise that large nothing is odd
+    np.testing.assert_array_equal(weigh_pushes([even, learned], 11.0), np.ones(5))
 
 
 def test_nothing_is_refused_of_a_clean_log() -> None:

@@ -5,6 +5,7 @@ import pytest
 
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.geometry.se2 import compose, transform
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.identification.statistics.problem import PushProblem, TimedPush
@@ -133,3 +134,33 @@ def test_observations_a_rounding_error_beside_a_step_do_not_matter(regime):
         )
         assert len(expected) == len(poses)
         np.testing.assert_allclose(poses, expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("regime", ["quasi_static", "inertial"])
+def test_residuals_have_the_derivatives_by_the_outline_s_frame_that_they_say(regime: str) -> None:
+    problem = make_problem(regime)
+    z = np.append(np.random.default_rng(0).normal(np.log(0.02), 0.3, problem.obj.n), np.log(0.4))
+    # poses that are away from the origin of the world, and turned
+    turned = [0.3, -0.2, 2.0]
+    log = PushLog(tuple(carry(push.observed, turned) for push in problem._pushes))
+    held = replace(CellParameters.uniform(problem.obj, friction=0.4), patch_ratio=0.2)
+    linear = PushProblem(problem.obj, log, held, problem.physics).linearize(z)
+
+    def calc_residuals(pose: np.ndarray) -> np.ndarray:
+        moved = PushProblem(problem.obj.place(pose), log, held, problem.physics)
+        return np.concatenate(moved.residuals(z))
+
+    check_jacobian(
+        calc_residuals, np.zeros(3), np.concatenate(linear.by_frame), rtol=2e-5, atol=1e-9
+    )
+
+
+def carry(seen: ObservedPush, pose: list[float]) -> ObservedPush:
+    """Carries a push and what was seen of it to another place on the table."""
+    push = Push.along(seen.push.t, transform(pose, seen.push.xy), seen.push.radius)
+    return replace(
+        seen,
+        push=push,
+        pose=compose(pose, seen.pose),
+        poses_observed=compose(pose, seen.poses_observed),
+    )

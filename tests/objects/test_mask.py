@@ -69,6 +69,22 @@ def test_frame_is_x_right_y_up_about_the_cells_centroid(tmp_path):
     assert obj.name == "l"
 
 
+def test_the_frames_origin_is_where_the_file_has_it_in_the_picture(tmp_path):
+    labels = np.zeros((40, 60), np.uint8)
+    labels[10:30, 20:50] = 1
+    labels[2, 3] = 1  # another piece, up and to the left
+    save(tmp_path / "mask.png", labels)
+    file = tmp_path / "object.yaml"
+    file.write_text("mask: {image: mask.png, meters_per_pixel: 0.001, origin: [25, 28]}")
+    obj = GridObject.from_yaml(file, largest_piece=True)
+    # the piece's lower left corner is 5 pixels to the left of the origin, and 2 below it
+    np.testing.assert_allclose(obj.outline.bounds, (-0.005, -0.002, 0.025, 0.018), atol=1e-3)
+    about_centroid = read(tmp_path / "mask.png", labels, scale=0.001, largest_piece=True)
+    np.testing.assert_allclose(
+        obj.p_BC - about_centroid.p_BC, np.tile([0.010, 0.008], (obj.n, 1)), atol=1e-9
+    )
+
+
 def test_few_pixels_become_one_cell_each(tmp_path):
     labels = np.zeros((9, 9), np.uint8)
     labels[2:5, 3:8] = [[1, 1, 2, 2, 0], [1, 2, 2, 3, 3], [0, 0, 0, 9, 9]]
@@ -179,7 +195,7 @@ def test_the_largest_of_random_pieces_is_kept(tmp_path, seed, density):
         coo_array((np.ones(len(i)), (i, j)), shape=(len(pixels), len(pixels)))
     )[1]
     path = save(tmp_path / "a.png", labels)
-    kept = _keep_one_piece(path, read_labels(path), True)
+    kept = _keep_one_piece(path, read_labels(path), True).labels
     assert np.count_nonzero(kept) == np.bincount(pieces).max()
     assert kept.any(axis=0)[[0, -1]].all() and kept.any(axis=1)[[0, -1]].all()
 
@@ -212,25 +228,25 @@ def test_pgm_labels_are_as_stored_whatever_its_greatest_value(tmp_path, magic, g
     raw = STORED.astype(">u2" if greatest > 255 else "u1").tobytes()
     body = b"0 1 2 # row\n3 1 0\n" if magic == "P2" else raw
     (tmp_path / "a.pgm").write_bytes(head + body)
-    np.testing.assert_array_equal(read_labels(tmp_path / "a.pgm"), STORED)
+    np.testing.assert_array_equal(read_labels(tmp_path / "a.pgm").labels, STORED)
 
 
 def test_png_labels_are_as_stored_whatever_its_depth(tmp_path):
     path = tmp_path / "a.png"
     for kind in (np.uint8, np.uint16):
-        np.testing.assert_array_equal(read_labels(save(path, STORED.astype(kind))), STORED)
+        np.testing.assert_array_equal(read_labels(save(path, STORED.astype(kind))).labels, STORED)
     np.testing.assert_array_equal(
-        read_labels(save(path, STORED.astype(np.uint16) * 20000)), STORED * 20000
+        read_labels(save(path, STORED.astype(np.uint16) * 20000)).labels, STORED * 20000
     )
     image = Image.new("P", (3, 2))
     image.putdata(STORED.ravel().tolist())
     image.putpalette([9, 9, 9] * 4)
     image.save(path)
-    np.testing.assert_array_equal(read_labels(path), STORED)
+    np.testing.assert_array_equal(read_labels(path).labels, STORED)
     rows = zlib.compress(bytes([0, 0b00011000, 0, 0b11010000]))
     path.write_bytes(png(3, 2, 2, 0, rows))  # gray of two bits
-    np.testing.assert_array_equal(read_labels(path), STORED)
-    np.testing.assert_array_equal(read_labels(save(path, STORED > 0)), STORED > 0)
+    np.testing.assert_array_equal(read_labels(path).labels, STORED)
+    np.testing.assert_array_equal(read_labels(save(path, STORED > 0)).labels, STORED > 0)
 
 
 @pytest.mark.parametrize("mode", ["RGB", "RGBA", "LA"])

@@ -133,6 +133,15 @@ def test_outline_has_its_holes():
     assert len(draw_outline(ax, obj).get_path().to_polygons()) == 2
 
 
+def test_pictures_of_an_object_name_its_body_frame():
+    obj = GridObject.from_yaml(find_shipped_object("claw_hammer"))
+    named = [text.get_text() for text in draw_object(obj).axes[0].texts]
+    assert "body frame" in named and "outline's frame" not in named
+    moved = draw_object(obj.place([0.01, 0.0, 0.1])).axes[0].texts
+    (name,) = [text for text in moved if text.get_text() == "outline's frame"]
+    assert name.xy == pytest.approx((0.01, 0.0))
+
+
 def test_wrong_number_of_values_is_refused():
     _, ax = make_axes()
     with pytest.raises(ObjectError, match="one for each cell"):

@@ -211,7 +211,9 @@ def make_protocol(data: Path | None = None, seed: int = 0) -> Protocol:
             form.
     """
     masks = {} if data is None else find_masks(data)
-    labels: dict[str, NDArray[Any]] = {name: read_labels(path) for name, path in masks.items()}
+    labels: dict[str, NDArray[Any]] = {
+        name: read_labels(path).labels for name, path in masks.items()
+    }
     labels |= {
         name: GridObject.from_yaml(find_shipped_object(name)).labels
         for name in list_shipped_objects()
@@ -316,7 +318,7 @@ def make_case(
     prior = PhysicalPrior(friction=SUPPORT_FRICTION, uniform_parts=show_parts)
     obj = replace(read_object(protocol, name), name=name, prior=prior)
     mask = protocol.masks.get(name)
-    columns = None if mask is None else read_labels(mask).shape[1]
+    columns = None if mask is None else read_labels(mask).labels.shape[1]
     masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
     log = push_object(obj, truth, columns)
@@ -453,7 +455,9 @@ def make_planning_protocol(data: Path | None = None, seed: int = 0) -> PlanningP
         GridPushError: the folder or its `protocol.json` cannot be read.
     """
     masks = {} if data is None else find_masks(data)
-    masses = {name: draw_masses(name, read_labels(path), seed) for name, path in masks.items()}
+    masses = {
+        name: draw_masses(name, read_labels(path).labels, seed) for name, path in masks.items()
+    }
     surface = SupportSurface.round(TABLE_CENTER, TABLE_RADIUS)
     drawn = PlanningProtocol(seed, masks, masses, draw_pairs(seed), surface)
 

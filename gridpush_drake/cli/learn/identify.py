@@ -96,6 +96,26 @@ def identify(
             "and the output says by how much.",
         ),
     ] = None,
+    fit_frame: Annotated[
+        bool,
+        typer.Option(
+            "--fit-frame",
+            help="Learn where the outline is in the frame of the logged poses, too: the frame that "
+            "your tracker gives the object may be off the one in which the outline was drawn, by "
+            "an unknown shift and turn of about 10 mm and 6 degrees. The model's object is moved "
+            "there, and the output says by how much.",
+        ),
+    ] = False,
+    body_at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,THETA",
+            help="Where the outline's frame is in the frame of the logged poses, m, m and rad, "
+            "where you know it. The model's object is moved there; with --fit-frame, that is "
+            "where the search begins.",
+            show_default="both are the same",
+        ),
+    ] = None,
     method: Annotated[
         Method,
         typer.Option(
@@ -139,13 +159,18 @@ def identify(
             "method": not any(one.abilities.takes_several for one in LEARNING_METHODS[method]),
             "regime": regime == "inertial",
             "keep": bool(keep),
+            "fit_frame": fit_frame,
+            "body_at": body_at is not None,
         }
         for name, given in alone.items():
-            refuse_several(options.OptionError, name, given, f"--{name}")
+            asked = f"--{name.replace('_', '-')}"
+            refuse_several(options.OptionError, name, given, asked)
         identify_together([object_file, *others], pushes, out, report, largest_piece, force, json)
         return
     options.check_outputs(force, out, report, inputs=(object_file, pushes, weighings))
     obj = options.load_object(object_file, largest_piece)
+    if body_at is not None:
+        obj = obj.place(options.read_numbers("--body-at", body_at, "x,y,theta (m, m and rad)", 3))
     full = options.load_log(pushes, obj)
     log = full.supported
     weighed = MassTestLog() if weighings is None else MassTestLog.read_csv(weighings)
@@ -161,6 +186,7 @@ def identify(
             progress=progress,
             weighings=weighed,
             keep=keep or (),
+            fit_frame=fit_frame,
         )
     if not result.push_names:
         raise PushLogError(explain_no_contact(obj, log))
@@ -219,6 +245,7 @@ def describe_result(result: Identification, log: PushLog) -> dict[str, Any]:
         "contact_friction": result.params.contact_friction,
         "contact_friction_std": result.std.contact_friction,
         "center_of_friction": result.identifiability.center_of_friction,
+        "outline_pose": result.obj.outline_pose and asdict(result.obj.outline_pose),
         "force": None if result.force is None else asdict(result.force),
         "absolute": result.absolute and result.absolute.summarize(),
         "statements": result.identifiability.statements,
@@ -251,6 +278,9 @@ def explain_result(result: Identification, found: dict[str, Any]) -> list[str]:
         f"center of friction: x {x}, y {y}, in the body frame",
         f"contact friction: {contact_friction:.2f} ± {result.std.contact_friction:.2f}",
     ]
+    if result.obj.outline_pose is not None:
+        where = result.obj.outline_pose.describe()
+        lines.append(f"the outline's frame is in the body frame of the log at {where}")
     if result.unused_pushes:
         lines.append(
             f"left out, as the pusher never touched the object: {', '.join(result.unused_pushes)}"

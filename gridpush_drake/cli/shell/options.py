@@ -30,6 +30,7 @@ from gridpush_drake.errors import (
     require_positive,
 )
 from gridpush_drake.files import check_writable, exists, is_file, is_same
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model_file import looks_like_model, read_model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.jobs.cluster import open_cluster
@@ -451,6 +452,30 @@ def split_name(text: str) -> tuple[str | None, str]:
             f"{text!r} names no {'file' if name else 'object'}; expected NAME=FILE or FILE"
         )
     return name, file
+
+
+def read_numbers(name: str, text: str, form: str, count: int) -> Array:
+    """Reads numbers with commas between them, as an option's value.
+
+    Args:
+        name: the option.
+        text: its value.
+        form: what is expected, for the message.
+        count: how many numbers.
+
+    Returns:
+        The numbers (count,).
+
+    Raises:
+        OptionError: there are not so many, or one is not a finite number.
+    """
+    try:
+        numbers = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        numbers = np.empty(0)  # refused below
+    if len(numbers) != count or not (np.abs(numbers) <= MAX_NUMBER).all():
+        raise OptionError(f"{name}: is {text!r}; expected finite numbers {form}")
+    return numbers
 
 
 def check_names(path: Path, log: PushLog, given: Iterable[str]) -> None:

@@ -31,6 +31,7 @@ from gridpush_drake.identification.fit.load_prior import LoadPrior
 from gridpush_drake.identification.fit.map_fit import MapFit
 from gridpush_drake.identification.result import FitStart, HypothesisEvidence, IdentificationStatus
 from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.statistics.outliers import weigh_pushes
 from gridpush_drake.identification.statistics.posterior import CELL_ENTRIES, calc_fraction
 from gridpush_drake.identification.statistics.problem import PushProblem
 
@@ -173,7 +174,7 @@ def average_fits(
         prior_covariance=wider**2 * prior_covariance,
         noise_std=scaled.pose,
         load_shift_std=scaled.load_shift,
-        status=_find_status(candidates, evidences, weights),
+        status=_find_status(candidates, evidences, weights, noise),
         starts=tuple(FitStart(one.fit.z, one.fit.scale, one.name) for one in candidates),
         best=fits[best],
         interval_scale=kappa / wider,
@@ -315,7 +316,7 @@ class _AveragedGroup:
 
 
 def _find_status(
-    candidates: list[Candidate], evidences: Array, weights: Array
+    candidates: list[Candidate], evidences: Array, weights: Array, noise: NoiseModel
 ) -> IdentificationStatus:
     """Tells whether anything was learned.
 
@@ -323,33 +324,58 @@ def _find_status(
         candidates: the priors with their fits.
         evidences: (a,) their log evidences.
         weights: (a,) weights in the mean.
+        noise: the noise model, unscaled.
 
     Returns:
         "prior_kept" if an even object is the most probable, or if pushes left out are not predicted
         better than by it by more than one standard error.
     """
     kept = candidates[int(np.argmax(weights))].prior.stands_for_even
-    gains = _calc_predictive_gains(candidates, evidences, weights)
-    if gains is not None and len(gains) >= MIN_CHECKED_PUSHES:
-        standard_error = gains.std(ddof=1) / np.sqrt(len(gains))
-        kept = kept or bool(gains.mean() <= standard_error)
+    gains = _calc_predictive_gains(candidates, evidences, weights, noise)
+    if gains is not None and len(gains.values) >= MIN_CHECKED_PUSHES:
+        kept = kept or gains.mean <= gains.standard_error
     return IdentificationStatus.PRIOR_KEPT if kept else IdentificationStatus.LEARNED
 
 
+@dataclass(frozen=True, eq=False)
+class _PredictiveGains:
+    """How much nearer pushes left out are predicted by the average than by an even fit.
+
+    Attributes:
+        values: (P,) distance of each push's end from the even fit's prediction, less that from the
+            average's, m.
+        weights: (P,) how much each push counts, see `weigh_pushes`.
+    """
+
+    values: Array
+    weights: Array
+
+    @property
+    def mean(self) -> float:
+        """Weighted mean of the gains, m."""
+        return float(np.average(self.values, weights=self.weights))
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of the mean, m."""
+        count = len(self.values)
+        off = self.weights / self.weights.sum() * (self.values - self.mean)
+        return float(np.sqrt(count / (count - 1) * (off @ off)))
+
+
 def _calc_predictive_gains(
-    candidates: list[Candidate], evidences: Array, weights: Array
-) -> Array | None:
+    candidates: list[Candidate], evidences: Array, weights: Array, noise: NoiseModel
+) -> _PredictiveGains | None:
     """Calculates how much nearer pushes left out are predicted by the average than by an even fit.
 
     Args:
         candidates: the priors with their fits.
         evidences: (a,) their log evidences.
         weights: (a,) weights in the mean.
+        noise: the noise model, unscaled.
 
     Returns:
-        (P,) distance of each push's end from the even fit's prediction, less that from the
-        average's, m; None if no fit stands for an even object, or the evidence is clearly against
-        it.
+        The gains; None if no fit stands for an even object, or the evidence is clearly against it.
     """
     asked = evidences > evidences.max() - HOPELESS_EVIDENCE_GAP
     even = next(
@@ -367,8 +393,11 @@ def _calc_predictive_gains(
     counted = np.flatnonzero(weights > NEGLIGIBLE_WEIGHT)
     errors = [candidates[i].fit.linearized.leave_out_ends().errors for i in counted]
     averaged = np.average(errors, axis=0, weights=weights[counted])
-    by_even = even.linearized.leave_out_ends().errors
-    return np.asarray(np.linalg.norm(by_even, axis=1) - np.linalg.norm(averaged, axis=1))
+    by_average = np.linalg.norm(averaged, axis=1)
+    by_even = np.linalg.norm(even.linearized.leave_out_ends().errors, axis=1)
+    return _PredictiveGains(
+        values=by_even - by_average, weights=weigh_pushes([by_even, by_average], noise.pose)
+    )
 
 
 def move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:

@@ -40,6 +40,7 @@ class Abilities:
         takes_budget: whether it simulates pushes until a budget is used up. Other methods end by
             themselves.
         takes_several: whether it learns several objects together.
+        fits_frame: whether it finds where the outline is in the frame of the logged poses.
     """
 
     needs_gradients: bool = False
@@ -47,6 +48,7 @@ class Abilities:
     holds_friction: bool = False
     takes_budget: bool = False
     takes_several: bool = False
+    fits_frame: bool = False
 
 
 class LearningMethod(Protocol):
@@ -87,6 +89,7 @@ class LearningTask:
         starts: where fits of the same objects to fewer pushes ended; empty to begin anew.
         friction: frictions that are held; None for the prior's.
         weighings: tilt tests and lifts of the object.
+        fit_frame: whether the outline's place in the frame of the logged poses is to be learned.
     """
 
     method: LearningMethod
@@ -98,11 +101,16 @@ class LearningTask:
     starts: tuple[FitStart, ...] = ()
     friction: HeldFriction | None = None
     weighings: MassTestLog = field(default_factory=MassTestLog)
+    fit_frame: bool = False
 
     @property
     def obj(self) -> GridObject:
         """The object; there must be one alone."""
         return self.model.obj
+
+    def move(self, obj: GridObject) -> "LearningTask":
+        """Returns the task with the object at another place in the frame of the logged poses."""
+        return replace(self, model=replace(self.model, objects=(obj,)))
 
     def hold(self, friction: HeldFriction, starts: tuple[FitStart, ...]) -> "LearningTask":
         """Returns the task with frictions held, to be begun where other fits have ended."""

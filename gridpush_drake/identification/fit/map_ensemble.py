@@ -28,6 +28,7 @@ from gridpush_drake.identification.fit.fit_average import (
 )
 from gridpush_drake.identification.fit.flipped_poses import find_flipped_poses
 from gridpush_drake.identification.fit.found_model import make_identification
+from gridpush_drake.identification.fit.frame_fit import fit_frame
 from gridpush_drake.identification.fit.hypotheses import (
     CENTER_STD,
     DEFAULT_HYPOTHESES,
@@ -123,7 +124,9 @@ class MapEnsemble:
     @property
     def abilities(self) -> Abilities:
         """It descends exact gradients, and holds what it is told of frictions."""
-        return Abilities(needs_gradients=True, takes_overhang=True, holds_friction=True)
+        return Abilities(
+            needs_gradients=True, takes_overhang=True, holds_friction=True, fits_frame=True
+        )
 
     @property
     def fields(self) -> list[LoadHypothesis]:
@@ -142,6 +145,10 @@ class MapEnsemble:
             IdentificationError: no loads explain the pushes with what is told of the object.
         """
         ensemble = replace(self, noise=task.adapt_noise(self.noise))
+        frame = None
+        if task.fit_frame:
+            frame = fit_frame(task.obj, partial(ensemble._fit_at, task))
+            task = task.move(frame.place(task.obj))
         pushes = TouchingPushes(task, self.choose_patch_ratio(task.obj))
         tracker = Tracker(pushes.problem, task.progress)
         known: dict[str, Any] = {
@@ -162,6 +169,8 @@ class MapEnsemble:
                 raise IdentificationError(_describe_no_fit(task.obj)) from error
         else:
             fit = ensemble.fit_prior(task.obj, pushes.z0, pushes.log_contact_friction_std)
+        if frame is not None:
+            fit = replace(fit, covariance=frame.widen(fit.covariance))
         model = make_identification(
             task,
             pushes,
@@ -183,6 +192,22 @@ class MapEnsemble:
             fitter.fit_few,
         )
         return Found(model, kept, flipped)
+
+    def _fit_at(self, task: LearningTask, obj: GridObject) -> MapFit | None:
+        """Fits one smooth field to the pushes that touch the object where it was moved to.
+
+        Returns:
+            The fit; None where no push touches it.
+        """
+        pushes = TouchingPushes(task.move(obj), self.choose_patch_ratio(obj))
+        if not len(pushes.problem):
+            return None
+        return self.fit_field(
+            pushes.problem,
+            pushes.z0,
+            pushes.log_contact_friction_std,
+            CenterOfMass.of_prior(obj.prior),
+        )
 
     def fit(
         self,

@@ -43,12 +43,17 @@ MAX_REFUSED_POSES = 0.5
 """Largest fraction of a push's poses that are refused one by one. If more disagree with the rest,
 it is the push as a whole that is in doubt, and its poses are kept."""
 
-MIN_PUSHES_EACH = 4
-"""Number of pushes that a log must have for each push that is refused as a whole."""
+KEPT_EACH = 2
+"""For each push that is refused as a whole, more than so many must be kept: fewer than a third of
+the pushes are refused."""
 
 SUSPECT_EVIDENCE = -9.0
 """Log odds, to first order, that a push is another object's. If they are higher, the other pushes
 are fitted again without it."""
+
+ODD_FACTOR = 3.0
+"""If no model comes nearer to a push than this many times the usual distance, the push is odd: it
+tells little of which model is the better one, and counts the less the farther off it is."""
 
 OUTLIER_GROWTH = 0.3
 """Standard deviation of how far off another object's poses are, as a fraction of the pusher's
@@ -221,7 +226,8 @@ class ScreenedLog:
     @property
     def may_refuse(self) -> int:
         """How many more pushes may be refused as a whole."""
-        return len(self.kept) // MIN_PUSHES_EACH - len(self.refused)
+        most = (len(self.kept) - 1) // (KEPT_EACH + 1)
+        return most - len(self.refused)
 
     @property
     def outliers(self) -> tuple[Outlier, ...]:
@@ -240,6 +246,25 @@ class ScreenedLog:
                     )
                 )
         return tuple(found)
+
+
+def weigh_pushes(errors: Sequence[Array], noise_std: float) -> Array:
+    """Weighs pushes by how odd they are, where models are compared by them.
+
+    What no model predicts, such as a push in which a hand helped, says next to nothing of which one
+    is right; but it is farther off than all others together, and would decide a mean.
+
+    Args:
+        errors: (P,) errors of each push by each of the models, m.
+        noise_std: distance that is usual in any case, m.
+
+    Returns:
+        (P,) weights: 1 up to ODD_FACTOR times the median of what the nearest model leaves, and from
+        there on less by the square of the distance.
+    """
+    nearest = np.min(errors, axis=0)
+    usual = ODD_FACTOR * max(float(np.median(nearest)), noise_std)
+    return np.asarray(np.square(usual / np.maximum(nearest, usual)))
 
 
 def find_jumps(obj: GridObject, log: PushLog) -> list[Mask]:

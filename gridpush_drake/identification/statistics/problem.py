@@ -29,7 +29,14 @@ from gridpush_drake.dynamics.push import make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.geometry.se2 import Array, IntArray, rotate, transform, wrap_angle
+from gridpush_drake.geometry.se2 import (
+    Array,
+    IntArray,
+    make_rotation,
+    rotate,
+    transform,
+    wrap_angle,
+)
 from gridpush_drake.identification.statistics.friction_gradient import calc_arms
 from gridpush_drake.identification.statistics.posterior import (
     CELL_ENTRIES,
@@ -110,11 +117,14 @@ class Linearization:
             by a shift (x, y) of the center of the load, all loads tilted along it. Where any of the
             pushes may come over a table's edge, (3K, 7): also by the gradient (x, y) of the
             friction, see `friction_gradient`.
+        by_frame: (3K, 3) derivatives by a motion (x, y, theta) of the whole object, outline and
+            cells, in the frame in which its poses are logged; m and rad.
     """
 
     residuals: list[Array]
     by_z: list[Array]
     by_inputs: list[Array]
+    by_frame: list[Array]
 
     def choose(self, pushes: Sequence[int]) -> "Linearization":
         """Takes the residuals and derivatives of some of the pushes."""
@@ -122,6 +132,7 @@ class Linearization:
             residuals=[self.residuals[i] for i in pushes],
             by_z=[self.by_z[i] for i in pushes],
             by_inputs=[self.by_inputs[i] for i in pushes],
+            by_frame=[self.by_frame[i] for i in pushes],
         )
 
 
@@ -191,6 +202,11 @@ class PushProblem:
         arm = obj.p_BC - self._centroid
         spread = arm.T @ arm / obj.n + SINGULAR_FRACTION * self._rho**2 * np.eye(2)
         self._tilts = np.linalg.solve(spread, arm.T).T
+
+        # (3, 3) by how much a motion (x, y, theta) of the body in its own frame moves its centroid,
+        # and turns it at the radius of gyration.
+        x, y = self._centroid
+        self._centroid_by_frame = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, self._rho]])
 
     @property
     def simulations(self) -> int:
@@ -273,15 +289,21 @@ class PushProblem:
         J[..., n] *= params.contact_friction
         J = self._to_residuals(poses, J)
 
+        # A motion in the frame of the logged poses moves the object where the push begins, and
+        # where it is observed, there straight in the body's axes.
+        begins = J[:, n + 3 : n + 6].reshape(-1, 3, 3) @ self._observed.begin_axes
+        by_frame = (begins - self._centroid_by_frame).reshape(-1, 3)
+
         # The inputs of the noise (section 4): the push's place, log mu_c, the load's shift; and the
         # friction's gradient.
         place = J[:, [n + 1, n + 2, n]]
-        inputs = np.concatenate([place, J[:, :n] @ self._tilts, J[:, n + 3 :]], axis=1)
+        inputs = np.concatenate([place, J[:, :n] @ self._tilts, J[:, n + 6 :]], axis=1)
         residuals = self._calc_residuals(poses).ravel()
         return Linearization(
             residuals=self._split(residuals),
             by_z=self._split(J[:, : n + 1]),
             by_inputs=self._split(inputs),
+            by_frame=self._split(by_frame),
         )
 
     def touched(self, z: Array) -> NDArray[np.bool_]:
@@ -334,7 +356,18 @@ class PushProblem:
             batch=PushBatch(self.obj, pushes, self.physics),
             poses=poses,
             centroids=self._centroid_at(poses),
+            begin_axes=self._make_begin_axes(),
         )
+
+    def _make_begin_axes(self) -> Array:
+        """Makes (R, 3, 3), the axes of the body's frame at the first pose of each row's push."""
+        counts = [len(p.rows) for p in self._pushes]
+        axes = np.zeros((sum(counts), 3, 3))
+        axes[:, :2, :2] = np.repeat(
+            make_rotation([p.observed.pose[2] for p in self._pushes]), counts, axis=0
+        )
+        axes[:, 2, 2] = 1.0
+        return axes
 
     def _split(self, values: Array) -> list[Array]:
         """Cuts (3R, ...) of all pushes into those of each."""
@@ -382,8 +415,11 @@ class _Observations:
         batch: simulates the pushes.
         poses: (R, 3) the observed poses, m and rad, world frame.
         centroids: (R, 2) the cells' centroids at the observed poses, world frame, m.
+        begin_axes: (R, 3, 3) axes of the body's frame where the push begins, world frame; the
+            third axis is that of turns.
     """
 
     batch: PushBatch
     poses: Array
     centroids: Array
+    begin_axes: Array
