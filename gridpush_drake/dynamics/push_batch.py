@@ -3,7 +3,8 @@
 All of them take one compiled call.
 
 What does not depend on the parameters is prepared once. Each push is simulated just as `simulate`
-does it by itself, bit for bit, unless the batch may be approximate.
+does it by itself, bit for bit, unless the batch may be approximate. Pushes by other shapes than a
+disc are simulated one after another, by the kernels of several objects.
 """
 
 from collections.abc import Sequence
@@ -21,10 +22,12 @@ from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     START_Y,
 )
 from gridpush_drake.dynamics.kernels.inputs import Pushes
-from gridpush_drake.dynamics.motion import RawJacobian
+from gridpush_drake.dynamics.motion import Motion, MotionStatus, RawJacobian
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, measure_steps
+from gridpush_drake.dynamics.scene.simulation import simulate_one
 from gridpush_drake.dynamics.simulation import count_columns, find_edges_near
+from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -46,6 +49,28 @@ class BatchPush(NamedTuple):
     times: Array
     rows: IntArray
     table: Array | None
+
+
+class _ShapedPush(NamedTuple):
+    """A push by a pusher that is no single disc.
+
+    Attributes:
+        index: its place in the batch.
+        push: the pusher's motion.
+        pose: (3,) q of the object at the beginning, m and rad.
+        times: (T+1,) the steps' times from the push's beginning, s.
+        wanted: (W,) the poses among the T+1 that are wanted, each once.
+        recorded: (R,) which of them each of its rows is.
+        rows: (R,) the batch's rows that are this push's.
+    """
+
+    index: int
+    push: Push
+    pose: Array
+    times: Array
+    wanted: IntArray
+    recorded: IntArray
+    rows: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +116,8 @@ class PushBatch:
                 mm and 0.005 degrees at the end of 10 cm (`docs/theory/model.md`, section 10).
 
         Raises:
-            SimulationError: an object is not on its table, or the regime is "auto".
+            SimulationError: an object is not on its table, the regime is "auto", or a pusher of
+                another shape than a disc comes near an edge.
         """
         self.obj = obj
         self.physics = physics
@@ -100,12 +126,18 @@ class PushBatch:
         near = [
             find_edges_near(obj, one.push, one.pose, one.table, physics.inertial) for one in pushes
         ]
+        discs = [i for i, one in enumerate(pushes) if one.push.shape is None]
+        self._shaped = [
+            self._make_shaped(i, one, near[i])
+            for i, one in enumerate(pushes)
+            if one.push.shape is not None
+        ]
 
         # One call of the kernel knows one table; pushes far from any edge go together.
-        kinds = [None if edges is None else edges.tobytes() for edges in near]
+        kinds = {i: None if (edges := near[i]) is None else edges.tobytes() for i in discs}
         self._groups = []
-        for kind in dict.fromkeys(kinds):
-            chosen = np.array([i for i, one in enumerate(kinds) if one == kind])
+        for kind in dict.fromkeys(kinds.values()):
+            chosen = np.array([i for i, one in kinds.items() if one == kind])
             self._groups.append(self._make_group(pushes, chosen, near[chosen[0]]))
 
     def __len__(self) -> int:
@@ -123,6 +155,10 @@ class PushBatch:
         touched = np.empty(len(self), dtype=np.bool_)
         for group in self._groups:
             poses[group.rows], touched[group.chosen] = self._run(group, params, np.empty((0, 3, 0)))
+        for one in self._shaped:
+            motion = self._run_shaped(one, params)
+            poses[one.rows] = motion.poses[one.wanted[one.recorded]]
+            touched[one.index] = motion.status is not MotionStatus.NO_CONTACT
         return poses, touched
 
     @property
@@ -168,7 +204,43 @@ class PushBatch:
                 # With mu_i m_i held, m_i changes as 1 / mu_i.
                 held = raw.calc_friction() * params.friction - by_mass * params.mass
                 derivatives[group.rows, :, n + 3 :] = held @ changes
+        for one in self._shaped:
+            motion = self._run_shaped(one, params, gradients=True)
+            poses[one.rows] = motion.poses[one.wanted[one.recorded]]
+            jacobian = motion.jacobian
+            derivatives[one.rows, :, :n] = jacobian.mass[one.recorded]
+            derivatives[one.rows, :, n] = jacobian.contact_friction[one.recorded]
+            derivatives[one.rows, :, n + 1 : n + 3] = jacobian.start[one.recorded]
         return poses, derivatives
+
+    def _run_shaped(
+        self, one: _ShapedPush, params: CellParameters, gradients: bool = False
+    ) -> Motion:
+        return simulate_one(
+            Bodies(self.obj, params, self.physics),
+            one.push,
+            one.pose,
+            gradients=gradients,
+            times=one.times,
+            record=one.wanted,
+        )
+
+    def _make_shaped(self, index: int, one: BatchPush, near: Array | None) -> _ShapedPush:
+        """Prepares a push by a pusher that is no single disc; it may come over no table's edge."""
+        if near is not None:
+            raise SimulationError(
+                "table: loads shift under a pusher that is one disc only; expected its edge far off"
+            )
+        wanted, recorded = np.unique(one.rows, return_inverse=True)
+        return _ShapedPush(
+            index=index,
+            push=one.push,
+            pose=np.array(one.pose, dtype=np.float64),
+            times=one.times,
+            wanted=wanted,
+            recorded=recorded,
+            rows=np.arange(self.offsets[index], self.offsets[index + 1]),
+        )
 
     def _run(
         self, group: _EdgeGroup, params: CellParameters, J: Array

@@ -20,6 +20,7 @@ IMPORTER_CLASSES = {
     "mit": "mit.MitImporter",
     "mit-tracked": "mit_tracked.MitTrackedImporter",
     "qualisys": "qualisys.QualisysImporter",
+    "two-point": "two_point.TwoPointImporter",
 }
 """By the name that follows `gridpush import`: the module here, and the class in it."""
 
