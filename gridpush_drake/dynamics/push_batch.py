@@ -55,7 +55,7 @@ class _ShapedPush(NamedTuple):
     """A push by a pusher that is no single disc.
 
     Attributes:
-        index: its place in the batch.
+        place: its place in the batch.
         push: the pusher's motion.
         pose: (3,) q of the object at the beginning, m and rad.
         times: (T+1,) the steps' times from the push's beginning, s.
@@ -64,7 +64,7 @@ class _ShapedPush(NamedTuple):
         rows: (R,) the batch's rows that are this push's.
     """
 
-    index: int
+    place: int
     push: Push
     pose: Array
     times: Array
@@ -158,7 +158,7 @@ class PushBatch:
         for one in self._shaped:
             motion = self._run_shaped(one, params)
             poses[one.rows] = motion.poses[one.wanted[one.recorded]]
-            touched[one.index] = motion.status is not MotionStatus.NO_CONTACT
+            touched[one.place] = motion.status is not MotionStatus.NO_CONTACT
         return poses, touched
 
     @property
@@ -225,7 +225,7 @@ class PushBatch:
             record=one.wanted,
         )
 
-    def _make_shaped(self, index: int, one: BatchPush, near: Array | None) -> _ShapedPush:
+    def _make_shaped(self, place: int, one: BatchPush, near: Array | None) -> _ShapedPush:
         """Prepares a push by a pusher that is no single disc; it may come over no table's edge."""
         if near is not None:
             raise SimulationError(
@@ -233,13 +233,13 @@ class PushBatch:
             )
         wanted, recorded = np.unique(one.rows, return_inverse=True)
         return _ShapedPush(
-            index=index,
+            place=place,
             push=one.push,
             pose=np.array(one.pose, dtype=np.float64),
             times=one.times,
             wanted=wanted,
             recorded=recorded,
-            rows=np.arange(self.offsets[index], self.offsets[index + 1]),
+            rows=np.arange(self.offsets[place], self.offsets[place + 1]),
         )
 
     def _run(
