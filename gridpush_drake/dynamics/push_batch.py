@@ -7,7 +7,7 @@ does it by itself, bit for bit, unless the batch may be approximate. Pushes by o
 disc are simulated one after another, by the kernels of several objects.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,10 +22,19 @@ from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     START_Y,
 )
 from gridpush_drake.dynamics.kernels.inputs import Pushes
-from gridpush_drake.dynamics.motion import Motion, MotionStatus, RawJacobian
+from gridpush_drake.dynamics.kernels.scene.records import PusherPath, SceneSteps
+from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
+from gridpush_drake.dynamics.motion import RawJacobian
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, measure_steps
-from gridpush_drake.dynamics.scene.simulation import simulate_one
+from gridpush_drake.dynamics.scene.kernel_call import (
+    make_bodies,
+    make_pusher_path,
+    make_scene_contacts,
+    make_scene_state,
+    run_scene_kernel,
+)
+from gridpush_drake.dynamics.scene.simulation import check_shaped_push, count_scene_columns
 from gridpush_drake.dynamics.simulation import count_columns, find_edges_near
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray
@@ -56,20 +65,20 @@ class _ShapedPush(NamedTuple):
 
     Attributes:
         place: its place in the batch.
-        push: the pusher's motion.
-        pose: (3,) q of the object at the beginning, m and rad.
-        times: (T+1,) the steps' times from the push's beginning, s.
-        wanted: (W,) the poses among the T+1 that are wanted, each once.
-        recorded: (R,) which of them each of its rows is.
+        path: the pusher's path at the steps' times.
+        pose: (1, 3) q of the object at the beginning, m and rad.
+        dts: (T,) the steps, as `push.measure_steps` has them.
+        wanted: (R,) the poses among the T+1 that its rows are.
+        row_of_step: (T+1,) the first row that is each pose, -1 for none.
         rows: (R,) the batch's rows that are this push's.
     """
 
     place: int
-    push: Push
+    path: PusherPath
     pose: Array
-    times: Array
+    dts: Array
     wanted: IntArray
-    recorded: IntArray
+    row_of_step: IntArray
     rows: IntArray
 
 
@@ -155,10 +164,10 @@ class PushBatch:
         touched = np.empty(len(self), dtype=np.bool_)
         for group in self._groups:
             poses[group.rows], touched[group.chosen] = self._run(group, params, np.empty((0, 3, 0)))
-        for one in self._shaped:
-            motion = self._run_shaped(one, params)
-            poses[one.rows] = motion.poses[one.wanted[one.recorded]]
-            touched[one.place] = motion.status is not MotionStatus.NO_CONTACT
+        for one, steps, _ in self._run_shaped(params, 0):
+            poses[one.rows] = steps.poses[one.wanted, 0]
+            unsolved = (steps.statuses[:, 0] != STEP_CONVERGED).any()
+            touched[one.place] = unsolved or steps.modes.any()
         return poses, touched
 
     @property
@@ -204,26 +213,43 @@ class PushBatch:
                 # With mu_i m_i held, m_i changes as 1 / mu_i.
                 held = raw.calc_friction() * params.friction - by_mass * params.mass
                 derivatives[group.rows, :, n + 3 :] = held @ changes
-        for one in self._shaped:
-            motion = self._run_shaped(one, params, gradients=True)
-            poses[one.rows] = motion.poses[one.wanted[one.recorded]]
-            jacobian = motion.jacobian
-            derivatives[one.rows, :, :n] = jacobian.mass[one.recorded]
-            derivatives[one.rows, :, n] = jacobian.contact_friction[one.recorded]
-            derivatives[one.rows, :, n + 1 : n + 3] = jacobian.start[one.recorded]
+        # the kernel's first columns: the cells' loads, the contact friction, and the start
+        by_mass = params.friction * self.physics.gravity
+        width = count_scene_columns(Bodies(self.obj, params, self.physics))
+        for one, steps, J in self._run_shaped(params, width):
+            poses[one.rows] = steps.poses[one.wanted, 0]
+            own = J[one.row_of_step[one.wanted], 0]
+            derivatives[one.rows, :, :n] = own[..., :n] * by_mass
+            derivatives[one.rows, :, n : n + 3] = own[..., n : n + 3]
         return poses, derivatives
 
     def _run_shaped(
-        self, one: _ShapedPush, params: CellParameters, gradients: bool = False
-    ) -> Motion:
-        return simulate_one(
-            Bodies(self.obj, params, self.physics),
-            one.push,
-            one.pose,
-            gradients=gradients,
-            times=one.times,
-            record=one.wanted,
-        )
+        self, params: CellParameters, width: int
+    ) -> Iterator[tuple[_ShapedPush, SceneSteps, Array]]:
+        """Simulates the pushes by other shapes; yields each with its steps and its J (R, 1, 3, w).
+
+        Args:
+            params: the cells' parameters.
+            width: number of the kernel's columns of derivatives; none is wanted where it is 0.
+        """
+        if not self._shaped:
+            return
+        bodies = Bodies(self.obj, params, self.physics)
+        check_shaped_push(bodies)
+        arrays = make_bodies(bodies)
+        for one in self._shaped:
+            J = np.empty((len(one.rows), 1, 3, width))
+            steps = run_scene_kernel(
+                arrays,
+                self.physics,
+                pusher=one.path,
+                state=make_scene_state(one.pose),
+                contacts=make_scene_contacts(1),
+                dts=one.dts,
+                row_of_step=one.row_of_step,
+                J=J,
+            )
+            yield one, steps, J
 
     def _make_shaped(self, place: int, one: BatchPush, near: Array | None) -> _ShapedPush:
         """Prepares a push by a pusher that is no single disc; it may come over no table's edge."""
@@ -231,14 +257,16 @@ class PushBatch:
             raise SimulationError(
                 "table: loads shift under a pusher that is one disc only; expected its edge far off"
             )
-        wanted, recorded = np.unique(one.rows, return_inverse=True)
+        wanted, first = np.unique(one.rows, return_index=True)
+        row_of_step = np.full(len(one.times), -1)
+        row_of_step[wanted] = first
         return _ShapedPush(
             place=place,
-            push=one.push,
-            pose=np.array(one.pose, dtype=np.float64),
-            times=one.times,
-            wanted=wanted,
-            recorded=recorded,
+            path=make_pusher_path(one.push, one.times),
+            pose=np.array([one.pose], dtype=np.float64),
+            dts=measure_steps(one.push, one.times, self.physics.regime),
+            wanted=one.rows,
+            row_of_step=row_of_step,
             rows=np.arange(self.offsets[place], self.offsets[place + 1]),
         )
 

@@ -87,7 +87,8 @@ def simulate_together(
     row_of_step[rows] = np.arange(len(rows))
     J = np.empty((0, n, 3, 0))
     if gradients:
-        J = np.empty((len(rows), n, 3, count_scene_columns(bodies, push)))
+        width = count_scene_columns(bodies, push.shape is not None)
+        J = np.empty((len(rows), n, 3, width))
 
     # The kernel, from rest.
     path = make_pusher_path(push, times, gradients)
@@ -215,12 +216,17 @@ def check_together(bodies: Bodies) -> Bodies:
     return bodies.with_physics(replace(physics, regime="quasi_static"))
 
 
-def count_scene_columns(bodies: Bodies, push: Push) -> int:
-    """Counts the kernel's columns of derivatives, see `kernels.scene.step_derivative`."""
+def count_scene_columns(bodies: Bodies, varied: bool = False) -> int:
+    """Counts the kernel's columns of derivatives, see `kernels.scene.step_derivative`.
+
+    Args:
+        bodies: the objects.
+        varied: whether the path of the pusher is varied, see `make_pusher_path`.
+    """
     # by the cells' loads, by each kind of friction, by the push, and by the first poses
     n = len(bodies)
     cells = sum(obj.n for obj in bodies.objects)
-    by_push = PUSH_COLUMNS + (0 if push.shape is None else PATH_VARIATIONS)
+    by_push = PUSH_COLUMNS + (PATH_VARIATIONS if varied else 0)
     return cells + n + n * (n - 1) // 2 + by_push + 3 * n
 
 
