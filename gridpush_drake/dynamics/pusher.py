@@ -96,6 +96,7 @@ class PusherShape(Frozen):
             )
         _check_polygon(outline)
         require_positive(PushError, "pusher: ", radius=radius)
+        # the core: all sides moved inwards
         inner = Polygon(outline).buffer(-radius, join_style="mitre", mitre_limit=MITRE_LIMIT)
         if not isinstance(inner, Polygon) or inner.is_empty:
             raise PushError(
@@ -130,6 +131,7 @@ def _check_polygon(corners: Array) -> None:
         if (corners[0] == corners[1]).all():
             raise PushError("pusher: both corners are the same; expected two places")
         return
+    # a convex polygon fills its hull
     polygon = Polygon(corners)
     hull = polygon.convex_hull.area
     convex = polygon.is_valid and polygon.area >= (1 - CONVEXITY_TOLERANCE) * hull > 0

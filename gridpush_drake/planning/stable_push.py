@@ -16,7 +16,7 @@ Moments count by the radius of gyration of the cells, so that the margin is an a
 
 How sure a push is to be stable is asked of draws of what a model does not know: the cells'
 friction, that of the contacts, and their places. The theory is in `docs/theory/planning.md`,
-section 7. The simulation says what happens where a push is not stable; this says only whether it is.
+section 9. The simulation says what happens where a push is not stable; here is only whether it is.
 """
 
 from collections.abc import Sequence
@@ -87,7 +87,7 @@ class PushStability:
 
     Attributes:
         margins: (M,) by each draw the least margin along the path: the sine of the angle from the
-            wrench that the contacts must bear to the nearest face of their cone, negative beyond it.
+            wrench that the contacts must bear to the nearest face of their cone; negative beyond.
         contacts: where the pusher touches.
     """
 
@@ -183,7 +183,7 @@ def _find_touched_corners(
 
 
 class MotionCone:
-    """The twists under which an object goes with a pusher that touches it, by one set of parameters.
+    """The twists under which an object goes with a pusher, by one set of parameters.
 
     Attributes:
         obj: the object.

@@ -147,6 +147,7 @@ def simulate_one(
     Returns:
         The motion, as that of one object under a disc, but with room for more contacts.
     """
+    # as one of several, and then without the axis of the objects
     motion = simulate_together(
         check_shaped_push(bodies), push, pose[None], dt, gradients, times, record
     )

@@ -17,6 +17,7 @@ IMPORTER_CLASSES = {
     "bag": "bag.BagImporter",
     "closed-loop": "closed_loop.ClosedLoopImporter",
     "cmu": "cmu.CmuImporter",
+    "dubins": "dubins.DubinsImporter",
     "mit": "mit.MitImporter",
     "mit-tracked": "mit_tracked.MitTrackedImporter",
     "qualisys": "qualisys.QualisysImporter",

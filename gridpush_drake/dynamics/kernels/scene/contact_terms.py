@@ -263,36 +263,46 @@ def _calc_face_terms(z, bodies, ids, tool, h, dt, xi, lam, out):
     s = sin(theta)
     tool_c = cos(z[TIP_YAW])
     tool_s = sin(z[TIP_YAW])
-    dx = z[POSE_INPUT] + c * px - s * py - z[TIP_INPUT]
-    dy = z[POSE_INPUT + 1] + s * px + c * py - z[TIP_INPUT + 1]
+    dx = z[POSE_INPUT] - z[TIP_INPUT]
+    dy = z[POSE_INPUT + 1] - z[TIP_INPUT + 1]
+    dx += c * px - s * py
+    dy += s * px + c * py
     lx = tool_c * dx + tool_s * dy
     ly = -tool_s * dx + tool_c * dy
-    gap = ((lx - ax) * ey - (ly - ay) * ex) / length - tool.radius
+    rx = lx - ax
+    ry = ly - ay
+    gap = (rx * ey - ry * ex) / length - tool.radius
 
     # The face's normal halfway through the step, in the body's frame there.
     angle = theta + h * z[TWIST_INPUT + 2]
     turn = z[TIP_YAW] + h * z[TIP_RATE] - angle
     turn_c = cos(turn)
     turn_s = sin(turn)
-    nx = (turn_c * ey + turn_s * ex) / length
-    ny = (turn_s * ey - turn_c * ex) / length
+    outward_x = ey / length
+    outward_y = -ex / length
+    nx = turn_c * outward_x - turn_s * outward_y
+    ny = turn_s * outward_x + turn_c * outward_y
 
     # The velocity of the pusher's point that is there now, in that frame.
     next_yaw = z[TIP_YAW] + z[TIP_RATE] * dt
     turn_vc = (cos(next_yaw) - tool_c) / dt
     turn_vs = (sin(next_yaw) - tool_s) / dt
-    vx = z[TIP_VELOCITY] + (turn_vc * lx - turn_vs * ly)
-    vy = z[TIP_VELOCITY + 1] + (turn_vs * lx + turn_vc * ly)
+    world_vx = z[TIP_VELOCITY] + (turn_vc * lx - turn_vs * ly)
+    world_vy = z[TIP_VELOCITY + 1] + (turn_vs * lx + turn_vc * ly)
     ca = cos(angle)
     sa = sin(angle)
+    vx = ca * world_vx + sa * world_vy
+    vy = ca * world_vy - sa * world_vx
 
     fx = nx * lam[0] - ny * lam[1]
     fy = ny * lam[0] + nx * lam[1]
     out[WRENCH_OUTPUT] = fx
     out[WRENCH_OUTPUT + 1] = fy
     out[WRENCH_OUTPUT + 2] = px * fy - py * fx
-    slip_x = xi[i, 0] - xi[i, 2] * py - ca * vx - sa * vy
-    slip_y = xi[i, 1] + xi[i, 2] * px + sa * vx - ca * vy
+    # the body's velocity there, seen from the pusher
+    new_w = xi[i, 2]
+    slip_x = xi[i, 0] - new_w * py - vx
+    slip_y = xi[i, 1] + new_w * px - vy
     out[APPROACH_OUTPUT] = nx * slip_x + ny * slip_y + gap / dt
     out[SLIP_OUTPUT] = nx * slip_y - ny * slip_x
     for k in range(3):

@@ -2,10 +2,12 @@
 
 The pusher is one disc or more against each outline, as in `dynamics.kernels.contact.contact`. One
 with a polygon for its core has a disc at every vertex, and faces that touch the outline's convex
-vertices. Two bodies touch by their cores, the outlines moved inwards by the radius of their corners: each convex vertex
-of one core is a disc of both radii against the other core. A corner is so round, and the normal of
-a contact turns evenly as it goes round it. Two edges that lie on each other touch at the two ends
-of what they have in common.
+vertices.
+
+Two bodies touch by their cores, the outlines moved inwards by the radius of their corners: each
+convex vertex of one core is a disc of both radii against the other core. A corner is so round, and
+the normal of a contact turns evenly as it goes round it. Two edges that lie on each other touch at
+the two ends of what they have in common.
 
 As in the step of one body, gaps are those when the step begins, while place and normal are those
 expected halfway through it (`contact.look_ahead`).
@@ -132,11 +134,31 @@ def _calc_speed(bodies, state, b):
 @kernel(allocates=False, inlined=True)
 def calc_place(motion, px, py):
     """Calculates where a point p of the pusher, in its frame, is in W, and its mean velocity."""
-    x = motion.x + (motion.turn_c * px - motion.turn_s * py)
-    y = motion.y + (motion.turn_s * px + motion.turn_c * py)
-    vx = motion.vx + (motion.turn_vc * px - motion.turn_vs * py)
-    vy = motion.vy + (motion.turn_vs * px + motion.turn_vc * py)
-    return x, y, vx, vy
+    c = motion.turn_c
+    s = motion.turn_s
+    arm_x = c * px - s * py
+    arm_y = s * px + c * py
+    # how the arm changes on average, by the chord of its arc
+    vc = motion.turn_vc
+    vs = motion.turn_vs
+    change_x = vc * px - vs * py
+    change_y = vs * px + vc * py
+    return motion.x + arm_x, motion.y + arm_y, motion.vx + change_x, motion.vy + change_y
+
+
+@kernel(allocates=False, inlined=True)
+def _see_vertex(state, i, motion, px, py):
+    """Calculates where a point p of body i, in its frame, is in the pusher's frame, m."""
+    c = state.turn[i, 0]
+    s = state.turn[i, 1]
+    # from the pusher's origin, in W
+    dx = state.q[i, 0] - motion.x
+    dy = state.q[i, 1] - motion.y
+    dx += c * px - s * py
+    dy += s * px + c * py
+    c = motion.turn_c
+    s = motion.turn_s
+    return c * dx + s * dy, c * dy - s * dx
 
 
 @kernel(allocates=False)
@@ -279,20 +301,14 @@ def _find_face_contacts(bodies, state, i, edges, motion, reach, h, contacts):
     """Finds where faces of the pusher touch convex vertices of body i; returns the least gap, m."""
     tool = motion.tool
     core = tool.core
-    c = state.turn[i, 0]
-    s = state.turn[i, 1]
     least = float("inf")
     limit = tool.reach + reach
     for v in range(edges.ax.shape[0]):
         px = edges.ax[v]
         py = edges.ay[v]
-        # the vertex in the pusher's frame
-        dx = state.q[i, 0] + c * px - s * py - motion.x
-        dy = state.q[i, 1] + s * px + c * py - motion.y
-        if dx * dx + dy * dy > limit * limit:
+        lx, ly = _see_vertex(state, i, motion, px, py)
+        if lx * lx + ly * ly > limit * limit:
             continue
-        lx = motion.turn_c * dx + motion.turn_s * dy
-        ly = -motion.turn_s * dx + motion.turn_c * dy
         e, distance = find_face(core, lx, ly)
         gap = distance - tool.radius
         if e < 0 or gap > reach or not _is_convex(edges, v):
@@ -302,11 +318,14 @@ def _find_face_contacts(bodies, state, i, edges, motion, reach, h, contacts):
         ex = core.bx[e] - core.ax[e]
         ey = core.by[e] - core.ay[e]
         length = sqrt(ex * ex + ey * ey)
-        turn = motion.yaw + h * motion.rate - state.q[i, 2] - h * state.twist[i, 2]
+        angle = state.q[i, 2] + h * state.twist[i, 2]
+        turn = motion.yaw + h * motion.rate - angle
         ct = cos(turn)
         st = sin(turn)
-        nx = (ct * ey + st * ex) / length
-        ny = (st * ey - ct * ex) / length
+        outward_x = ey / length
+        outward_y = -ex / length
+        nx = ct * outward_x - st * outward_y
+        ny = st * outward_x + ct * outward_y
         if not _is_deep(edges, v, -nx, -ny):
             continue
         r = _take_row(contacts, gap)
@@ -326,7 +345,6 @@ def _find_face_contacts(bodies, state, i, edges, motion, reach, h, contacts):
         numbers[ROW_BEND] = 0.0
         # the velocity of the pusher's point that is there now, in the frame of the step
         _, _, vx, vy = calc_place(motion, lx, ly)
-        angle = state.q[i, 2] + h * state.twist[i, 2]
         ca = cos(angle)
         sa = sin(angle)
         numbers[TIP_VX] = ca * vx + sa * vy
@@ -369,10 +387,7 @@ def measure_finger_gap(bodies, state, motion, found):
         if not tool.joined:
             continue
         for v in range(edges.ax.shape[0]):
-            dx = state.q[i, 0] + c * edges.ax[v] - s * edges.ay[v] - motion.x
-            dy = state.q[i, 1] + s * edges.ax[v] + c * edges.ay[v] - motion.y
-            lx = motion.turn_c * dx + motion.turn_s * dy
-            ly = -motion.turn_s * dx + motion.turn_c * dy
+            lx, ly = _see_vertex(state, i, motion, edges.ax[v], edges.ay[v])
             e, distance = find_face(tool.core, lx, ly)
             if e >= 0 and distance <= 2.0 * radius:
                 least = min(least, distance - radius)

@@ -303,11 +303,17 @@ def _add_pusher_speed(motion, contacts, r, n, row, dt, scales, V):
     _, _, vx, vy = calc_place(motion, px, py)
     vx /= speed
     vy /= speed
-    next_c = motion.turn_c + motion.turn_vc * dt
-    next_s = motion.turn_s + motion.turn_vs * dt
-    by_yaw = vy * (motion.turn_vc * px - motion.turn_vs * py)
-    by_yaw -= vx * (motion.turn_vs * px + motion.turn_vc * py)
-    by_rate = vy * (next_c * px - next_s * py) - vx * (next_s * px + next_c * py)
+    vc = motion.turn_vc
+    vs = motion.turn_vs
+    next_c = motion.turn_c + vc * dt
+    next_s = motion.turn_s + vs * dt
+    # of the vertex's arm: its mean change, and itself when the step ends
+    change_x = vc * px - vs * py
+    change_y = vs * px + vc * py
+    arm_x = next_c * px - next_s * py
+    arm_y = next_s * px + next_c * py
+    by_yaw = vy * change_x - vx * change_y
+    by_rate = vy * arm_x - vx * arm_y
     columns = 6 * n - TIP_INPUT
     for k, factor in (
         (TIP_VELOCITY, vx),
@@ -430,11 +436,12 @@ def step_columns(bodies, state, pusher, motion, t, eps, xi, dt, shift, derivativ
         for d in range(pusher.variations.shape[0]):
             now = pusher.variations[d, t]
             after = pusher.variations[d, t + 1]
-            change = 0.0
-            for a in range(3):
-                place = tip + (a if a < 2 else TIP_YAW - TIP_INPUT)
-                speed = tip + (2 + a if a < 2 else TIP_RATE - TIP_INPUT)
-                change += now[a] * F[row, place] + (after[a] - now[a]) / dt * F[row, speed]
+            change = now[0] * fx + now[1] * fy
+            change += now[2] * F[row, tip + TIP_YAW - TIP_INPUT]
+            # and how the velocities vary with it
+            change += (after[0] - now[0]) / dt * fvx
+            change += (after[1] - now[1]) / dt * fvy
+            change += (after[2] - now[2]) / dt * F[row, tip + TIP_RATE - TIP_INPUT]
             out[at_push + PUSH_COLUMNS + d] += change
 
     # x' = x + R d and theta' = theta + w dt; the twist's variation is dxi itself.
