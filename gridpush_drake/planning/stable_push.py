@@ -60,8 +60,12 @@ CURVATURES = 41
 FACE_TOLERANCE = 1e-9
 """Sine of the angle by which a generator may be beyond a face of the cone, for rounding's sake."""
 
+MIN_PIECE = 0.002
+"""Shortest piece of a path whose twist is looked at, m; shorter ones are joined. Logged places are
+rounded, which would turn the twists of short pieces."""
+
 STILL = 1e-9
-"""Way of a piece of a path, m, below which the pusher stands still in it."""
+"""Way of a whole path, m, below which the pusher stands still."""
 
 SIDE_SLACK = 0.2
 """Sine of the angle by which a corner of the pusher may stand back and still count as touching."""
@@ -437,22 +441,30 @@ def calc_twists(path: Array, X_BT: Array) -> Array:
         X_BT: (3,) where the object holds it, m and rad.
 
     Returns:
-        (T, 3) twist of B's origin in B for each piece in which the pusher moves, by its length.
+        (T, 3) twist of B's origin in B, times its duration, for each piece of `MIN_PIECE` or more;
+        of all the path where that is shorter.
 
     Raises:
         PlanningError: it never moves.
     """
+    # pieces that are long enough; the last takes what is left over
+    turns = np.abs(np.diff(path[:, 2])) * np.linalg.norm(X_BT[:2])
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1) + turns))
+    if way[-1] <= STILL:
+        raise PlanningError("push: the pusher stands still; expected a path")
+    kept = [0]
+    for i in range(1, len(path)):
+        if way[i] - way[kept[-1]] >= MIN_PIECE and way[-1] - way[i] >= MIN_PIECE:
+            kept.append(i)
+    path = path[[*kept, len(path) - 1]]
+
     moves = np.diff(path, axis=0)
     middle = (path[1:, 2] + path[:-1, 2]) / 2
     v_T = rotate(-middle, moves[:, :2])
     v = rotate(np.full(len(moves), X_BT[2]), v_T)
     turn = moves[:, 2]
     # the velocity at B's origin, which is -p_BT from that of the pusher's frame
-    twists = np.column_stack([v[:, 0] + turn * X_BT[1], v[:, 1] - turn * X_BT[0], turn])
-    moved = np.linalg.norm(v, axis=1) + np.abs(turn) * np.linalg.norm(X_BT[:2]) > STILL
-    if not moved.any():
-        raise PlanningError("push: the pusher stands still; expected a path")
-    return np.asarray(twists[moved])
+    return np.column_stack([v[:, 0] + turn * X_BT[1], v[:, 1] - turn * X_BT[0], turn])
 
 
 def calc_stable_probabilities(

@@ -125,6 +125,20 @@ def test_turns_within_the_limits_are_stable_and_tighter_ones_are_not():
             assert calc_slip(model.obj, push, (0, 0, 0), end).is_within(STUCK, STUCK) == stable
 
 
+def test_places_that_are_rounded_do_not_make_a_push_unstable():
+    model = make_block(np.random.default_rng(0))
+    even = Model(model.obj, physics=QUASI_STATIC)
+    push = push_about((-0.05, 0.2), PLATE, angle=0.3)
+    # as a log has it: many rows, each rounded to 0.1 mm
+    t = np.linspace(0, push.duration, 400)
+    rounded = Push.along(t, push.tip_at(t).round(4), shape=PLATE, yaw=push.yaw_at(t))
+    margins = [calc_push_stability(even, each, count=1).margins[0] for each in (push, rounded)]
+    assert min(margins) > 0.01
+    still = Push.along([0, 1], push.xy[[0, 0]], shape=PLATE)
+    with pytest.raises(PlanningError, match="stands still"):
+        calc_push_stability(even, still)
+
+
 def test_a_slip_is_seen_from_the_pusher():
     obj = make_block(np.random.default_rng(0)).obj
     push = push_about((0.0, 0.2), TIPS)
