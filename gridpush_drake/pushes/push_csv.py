@@ -407,6 +407,7 @@ def _read_shape(path: Path, line: int, cell: str) -> PusherShape | None:
     known = (shapely.MultiPoint, shapely.Point, shapely.LineString, shapely.Polygon)
     if not found or size is None or not isinstance(geometry, known) or geometry.is_empty:
         fail(path, line, PUSHER_COLUMN, f"is {cell[:MAX_SHOWN]!r}; expected {SHAPE_FORM} (m)")
+    # a ring ends where it begins
     core = shapely.get_coordinates(geometry)
     if isinstance(geometry, shapely.Polygon):
         core = core[:-1]
@@ -420,6 +421,7 @@ def _read_shape(path: Path, line: int, cell: str) -> PusherShape | None:
 def _make_path(path: Path, rows: list[_Row], radius: float) -> Push:
     """Makes the motion of the pusher of a push's rows: of a disc of a radius, or of a shape."""
     first = rows[0]
+    # a shape on the first row, and its angle on all
     t = [row.t for row in rows]
     tip = [row.tip for row in rows]
     for row in rows:

@@ -42,7 +42,7 @@ STILL_DISTANCE = 0.0001
 step."""
 
 
-class _Row(NamedTuple):
+class _Observation(NamedTuple):
     """A row of a file: which push it is of, time, s, and poses (3,), m and rad; None if unseen."""
 
     push: tuple[str, str, str]
@@ -123,7 +123,7 @@ class DubinsImporter:
         return PushLog(tuple(pushes), str(path)), obj
 
 
-def _read_rows(path: Path) -> list[_Row]:
+def _read_rows(path: Path) -> list[_Observation]:
     """Reads the rows of a file; a PushLogError names line and column of a wrong one."""
 
     def check_header(path: Path, line: int, header: list[str]) -> None:
@@ -139,7 +139,7 @@ def _read_rows(path: Path) -> list[_Row]:
             if not (name in OBJECT_COLUMNS and all(is_empty(cells[c]) for c in OBJECT_COLUMNS))
         }
         rows.append(
-            _Row(
+            _Observation(
                 push=(cells["task"].strip(), cells["repeat"].strip(), cells["action"].strip()),
                 t=read["t"],
                 seen=[read[name] for name in OBJECT_COLUMNS] if "object_x" in read else None,
@@ -149,11 +149,12 @@ def _read_rows(path: Path) -> list[_Row]:
     return rows
 
 
-def _cut_pushes(rows: list[_Row]) -> list[list[_Row]]:
+def _cut_pushes(rows: list[_Observation]) -> list[list[_Observation]]:
     """Cuts rows into pushes: of one run and action, without a lift, at times that increase."""
-    pushes: list[list[_Row]] = []
+    pushes: list[list[_Observation]] = []
     for before, row in pairwise([None, *rows]):
         assert row is not None
+        # another run or action, or a lift in between, begins another push
         if before is None or row.push != before.push or row.t - before.t > LIFTED_TIME:
             pushes.append([])
         if not pushes[-1] or row.t > pushes[-1][-1].t:
@@ -162,7 +163,7 @@ def _cut_pushes(rows: list[_Row]) -> list[list[_Row]]:
 
 
 def _make_push(
-    rows: list[_Row], name: str, shape: PusherShape, delay: float
+    rows: list[_Observation], name: str, shape: PusherShape, delay: float
 ) -> ObservedPush | None:
     """Makes the log's entry of a push; None where its beginning or its end was not seen."""
     robot = np.array([row.robot for row in rows])
@@ -180,6 +181,7 @@ def _make_push(
         if seen:
             pose[2] = nearest_turn(float(pose[2]), float(seen[-1][1][2]))
         seen.append((row.t - delay, pose))
+    # the poses at rest before and after the motion, and those in between
     first = [pose for when, pose in seen if when <= begin]
     during = [(when - begin, pose) for when, pose in seen if begin < when < end]
     after = [pose for when, pose in seen if when >= end]
@@ -202,6 +204,7 @@ def _find_motion(robot: Array) -> slice | None:
     Args:
         robot: (K, 3) poses, m and rad.
     """
+    # where they have left their first place, and where they have not yet reached the last
     left = np.flatnonzero(np.linalg.norm(robot[:, :2] - robot[0, :2], axis=1) > STILL_DISTANCE)
     not_yet = np.flatnonzero(np.linalg.norm(robot[:, :2] - robot[-1, :2], axis=1) > STILL_DISTANCE)
     if not len(left) or not len(not_yet):

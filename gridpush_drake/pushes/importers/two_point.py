@@ -183,8 +183,10 @@ def observe_two_point(logged: TwoPointPush, name: str) -> ObservedPush:
         shape=TWO_TIPS,
         yaw=logged.tool[:, 3] - logged.before[2],
     )
+    # everything is told in the block's frame at the push's beginning
     end = compose(invert(logged.before), logged.after)
     end[2] = nearest_turn(float(end[2]), 0.0)
+    # forces before the tool moves tell nothing
     force_t = logged.force[:, 0] - logged.tool[0, 0]
     kept = (force_t >= 0) & (force_t <= push.duration)
     return ObservedPush(
