@@ -9,6 +9,8 @@ from .push import DEFAULT_TIP_STEP as DEFAULT_TIP_STEP
 from .push import ForcePush as ForcePush
 from .push import Push as Push
 from .push import make_path_times as make_path_times
+from .pusher import Pusher as Pusher
+from .pusher import PusherShape as PusherShape
 from .simulation import calc_step as calc_step
 from .simulation import simulate as simulate
 from .simulation import simulate_batch as simulate_batch

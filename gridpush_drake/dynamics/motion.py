@@ -58,6 +58,11 @@ class Jacobian:
         contact_location: (R, 3) by the arc length on the outline where the push begins, 1/m; None
             unless the push was made by `Push.on_outline`, and of several objects.
         push_height: (R, 3) by the height at which the pusher acts; None where loads do not shift.
+        yaw: (R, 3) by turning a shaped pusher about its frame's origin, at all times alike, 1/rad;
+            None of a disc, as `turn` and `center`.
+        turn: (R, 3) by how far it turns from beginning to end, its places held, 1/rad.
+        center: (R, 3, 2) by the place (x, y) in W of the center about which it turns, its start and
+            its yaws held, 1/m.
         pair_friction: (R, N, 3, N, N) by the friction coefficient of each pair of objects; it is
             the same at (i, j) and (j, i), which are one number. None of one object.
     """
@@ -73,6 +78,9 @@ class Jacobian:
     contact_location: Array | None = None
     push_height: Array | None = None
     pair_friction: Array | None = None
+    yaw: Array | None = None
+    turn: Array | None = None
+    center: Array | None = None
 
     def __repr__(self) -> str:
         """How many poses are derived by how many cells, in a line."""
@@ -91,16 +99,17 @@ class Motion:
             objects.
         velocities: (T+1, 3) (vx, vy, w) of the body frame's origin, m/s and rad/s; (T+1, N, 3) of
             several objects.
-        tip: (T+1, 2) center of the pusher, m; NaN for a force-driven push.
+        tip: (T+1, 2) center of the pusher, or origin of its shape's frame, m; NaN for a
+            force-driven push.
         contact_forces: (T, C, 2) force on the object at each contact within reach, N. In the
             quasi-static regime too: it is what the support's friction asks for. How several
             contacts that stick share it is statically indeterminate; one admissible way is given.
-            Of one object C is 2: the pusher's contacts.
+            Of one object C is 2: the contacts of a disc; of another shape as many as occur.
         contact_points: (T, C, 2) where they act, halfway through the step, m; NaN where there is no
             contact.
         modes: (T, C) contact modes: 0 separate, 1 stick, 2 slide with lam_t = +mu_c lam_n, 3 with
             the opposite sign.
-        gaps: (T+1,) distance from the disc's edge to the nearest outline, m; negative where they
+        gaps: (T+1,) distance from the pusher's edge to the nearest outline, m; negative where they
             overlap, infinite where far.
         status: how it went; compares equal to its string, "ok" for instance.
         load_centers: (T, 2) where the table bears the object at each step, on average, m; NaN where
@@ -117,6 +126,7 @@ class Motion:
         residuals: (T, 2) what is left of the balance of forces, as a fraction of what acts on a
             body, and of the contact conditions, as a fraction of forces and speeds. None of one
             object.
+        yaw: (T+1,) angle of the pusher's frame, rad; None of a disc.
         jacobian: derivatives of the poses, where asked for.
     """
 
@@ -136,6 +146,7 @@ class Motion:
     contact_bodies: IntArray | None = None
     contact_gaps: Array | None = None
     residuals: Array | None = None
+    yaw: Array | None = None
     _jacobian: "Jacobian | RawJacobian | None" = field(default=None, repr=False)
 
     def __repr__(self) -> str:

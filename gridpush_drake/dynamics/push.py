@@ -1,6 +1,6 @@
 """A push and the times of its steps.
 
-A push is the planar motion of a disc, or, as in the paper, a given force.
+A push is the planar motion of a disc or of another rigid shape, or, as in the paper, a given force.
 """
 
 from collections.abc import Sequence
@@ -11,28 +11,37 @@ from math import ceil, cos, sin
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import MAX_NUMBER, PushError, SimulationError, require_positive
 from gridpush_drake.frozen import Frozen
-from gridpush_drake.geometry.se2 import Array, IntArray, check_vector
+from gridpush_drake.geometry.se2 import Array, IntArray, check_vector, rotate
 from gridpush_drake.objects.grid_object import GridObject
+
+TURN_SAMPLE = 0.005
+"""Largest angle between two samples of a push about a center, rad: the chord of an arc of radius
+0.3 m is then 1 µm off it."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class Push(Frozen):
-    """The motion of a disc in the plane of the support, piecewise linear in time.
+    """The motion of a pusher in the plane of the support, piecewise linear in time.
 
-    `Push(start, velocity, duration, radius)` is straight at constant velocity; `Push.along` follows
-    sampled points; `Push.on_outline` starts at a place on an object's outline.
+    `Push(start, velocity, duration, radius)` is that of a disc, straight at constant velocity;
+    `Push.along` follows sampled points, and poses of another shape; `Push.on_outline` starts at a
+    place on an object's outline; `Push.about` turns a shape about a center.
 
     Attributes:
-        start: (2,) p_WP of the disc's center at the beginning, m, world frame.
+        start: (2,) p_WP of the disc's center, or of the origin of the shape's frame, at the
+            beginning, m, world frame.
         velocity: (2,) v_WP, m/s, world frame; for a sampled path, its mean.
         duration: s, positive.
-        radius: m, positive.
+        radius: m, positive: of the disc, or of the shape's round corners.
         t: (K,) sample times from the push's beginning, s, strictly increasing, `t[0] == 0`.
         xy: (K, 2) p_WP at those times, m.
         start_tangent: (2,) direction in W in which `start` moves as the contact's arc length on the
             outline grows, where the push was made by an outline location; None otherwise.
+        shape: the pusher's shape; None of a disc.
+        yaw: (K,) angle of the shape's frame at the sample times, rad; None of a disc.
 
     Raises:
         PushError: a value is not finite, radius or duration is not positive, or samples disagree
@@ -46,6 +55,8 @@ class Push(Frozen):
     t: Array = field(kw_only=True, repr=False)
     xy: Array = field(kw_only=True, repr=False)
     start_tangent: Array | None = field(kw_only=True, repr=False)
+    shape: PusherShape | None = field(kw_only=True, repr=False)
+    yaw: Array | None = field(kw_only=True, repr=False)
 
     def __init__(
         self,
@@ -57,6 +68,8 @@ class Push(Frozen):
         t: ArrayLike | None = None,
         xy: ArrayLike | None = None,
         start_tangent: ArrayLike | None = None,
+        shape: PusherShape | None = None,
+        yaw: ArrayLike | None = None,
     ) -> None:
         """Copies and checks what is given.
 
@@ -81,6 +94,16 @@ class Push(Frozen):
                     "push: t and xy disagree with start, velocity or duration; "
                     "`Push.along` takes samples"
                 )
+        angles = None
+        if shape is not None:
+            if radius != shape.radius:
+                raise PushError(f"push: radius is {radius!r}, but its shape's is {shape.radius!r}")
+            angles = np.zeros(len(times)) if yaw is None else np.array(yaw, dtype=np.float64)
+            if angles.ndim == 0:
+                angles = np.full(len(times), angles)
+            _check_yaw(times, angles)
+        elif yaw is not None:
+            raise PushError("push: yaw is given without a shape; expected both")
         values = {
             "start": begin,
             "velocity": v,
@@ -91,6 +114,8 @@ class Push(Frozen):
             "start_tangent": None
             if start_tangent is None
             else check_vector(PushError, "push: start_tangent", start_tangent, 2),
+            "shape": shape,
+            "yaw": angles,
         }
         for name, value in values.items():
             if isinstance(value, np.ndarray):
@@ -99,15 +124,33 @@ class Push(Frozen):
 
     @classmethod
     def along(
-        cls, t: ArrayLike, xy: ArrayLike | Sequence[Sequence[float]], radius: float
+        cls,
+        t: ArrayLike,
+        xy: ArrayLike | Sequence[Sequence[float]],
+        radius: float | None = None,
+        *,
+        shape: PusherShape | None = None,
+        yaw: ArrayLike | None = None,
     ) -> "Push":
         """Makes a push along p_WP (K, 2), m, at times (K,), s.
 
         The times increase strictly; only their differences matter.
 
+        Args:
+            t: the times, s.
+            xy: the places of the disc's center, or of the origin of the shape's frame, m.
+            radius: of the disc, m; or else `shape`.
+            shape: of a pusher that is no disc.
+            yaw: (K,) angles of its frame, rad, or one for all times; zero by default.
+
         Raises:
             PushError: shapes disagree, a value is not finite, or time does not increase.
         """
+        if (radius is None) == (shape is None):
+            raise PushError("push: expected either radius or shape")
+        if shape is not None:
+            radius = shape.radius
+        assert radius is not None
         times = np.array(t, dtype=np.float64)
         path = np.array(xy, dtype=np.float64)
         _check_samples(times, path)
@@ -119,6 +162,44 @@ class Push(Frozen):
             radius,
             t=times,
             xy=path,
+            shape=shape,
+            yaw=yaw,
+        )
+
+    @classmethod
+    def about(
+        cls,
+        center: ArrayLike,
+        angle: float,
+        *,
+        shape: PusherShape,
+        start: ArrayLike,
+        yaw: float = 0.0,
+        duration: float,
+    ) -> "Push":
+        """Makes a push that turns a shape about a center.
+
+        Args:
+            center: (2,) p_WC of the center of rotation, m.
+            angle: by which it turns, rad, counterclockwise.
+            shape: the pusher's.
+            start: (2,) where the origin of its frame is at the beginning, m.
+            yaw: angle of its frame at the beginning, rad.
+            duration: s.
+
+        Raises:
+            PushError: a value is out of range.
+        """
+        about = check_vector(PushError, "push: center", center, 2)
+        ray = check_vector(PushError, "push: start", start, 2) - about
+        if not (np.isfinite([angle, yaw]).all() and angle != 0):
+            raise PushError("push: angle and yaw must be finite numbers, and angle not zero (rad)")
+        turned = np.linspace(0.0, angle, max(2, ceil(abs(angle) / TURN_SAMPLE) + 1))
+        return cls.along(
+            np.linspace(0.0, duration, len(turned)),
+            about + rotate(turned, ray),
+            shape=shape,
+            yaw=yaw + turned,
         )
 
     @classmethod
@@ -191,6 +272,32 @@ class Push(Frozen):
         """Length of the path, m."""
         return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum())
 
+    @cached_property
+    def piece_lengths(self) -> Array:
+        """How far the pusher goes between samples, (K-1,) m.
+
+        A shape that turns goes as far as the path of its origin and of its farthest point say, at
+        right angles to each other.
+        """
+        lengths = np.linalg.norm(np.diff(self.xy, axis=0), axis=1)
+        if self.yaw is None or self.shape is None:
+            return lengths
+        return np.hypot(lengths, self.shape.reach * np.diff(self.yaw))
+
+    def cut(self, times: ArrayLike) -> "Push":
+        """Takes the part of the push that goes through the places at times (K,), s."""
+        if self.shape is None:
+            return Push.along(times, self.tip_at(times), self.radius)
+        yaw = self.yaw_at(times)
+        return Push.along(times, self.tip_at(times), shape=self.shape, yaw=yaw)
+
+    def yaw_at(self, times: ArrayLike) -> Array:
+        """Interpolates the yaw, (K,) rad, at times (K,), s from the beginning; zero of a disc."""
+        times = np.asarray(times, dtype=np.float64)
+        if self.yaw is None:
+            return np.zeros(times.shape)
+        return np.interp(times, self.t, self.yaw)
+
     def tip_at(self, times: ArrayLike) -> Array:
         """Interpolates p_WP of the disc's center, (K, 2) m, at times (K,), s from the beginning.
 
@@ -200,8 +307,8 @@ class Push(Frozen):
         return np.column_stack([np.interp(times, self.t, self.xy[:, axis]) for axis in (0, 1)])
 
     def distance_at(self, times: ArrayLike) -> Array:
-        """Calculates how far the disc has gone along its path, (K,) m, at times (K,), s."""
-        gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self.xy, axis=0), axis=1)))
+        """Calculates how far the pusher has gone along its path, (K,) m, at times (K,), s."""
+        gone = np.append(0.0, np.cumsum(self.piece_lengths))
         return np.interp(np.asarray(times, dtype=np.float64), self.t, gone)
 
 
@@ -217,6 +324,14 @@ def _check_samples(times: Array, path: Array) -> None:
     if np.any(np.diff(times) <= 0):
         first = int(np.argmax(np.diff(times) <= 0)) + 1
         raise PushError(f"push: t must be strictly increasing; t[{first}] is not")
+
+
+def _check_yaw(times: Array, yaw: Array) -> None:
+    """Raises PushError for angles that are not (K,) finite numbers."""
+    if yaw.shape != times.shape:
+        raise PushError(f"push: yaw of shape {yaw.shape}; expected ({len(times)},)")
+    if not (np.abs(yaw) <= MAX_NUMBER).all():
+        raise PushError(f"push: yaw must be finite numbers, at most {MAX_NUMBER:g} (rad)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +440,7 @@ def make_path_times(
     Raises:
         SimulationError: they are more than MAX_STEPS.
     """
-    distance = np.linalg.norm(np.diff(push.xy, axis=0), axis=1)
+    distance = push.piece_lengths
     if regime == "quasi_static":
         arc = np.append(0.0, np.cumsum(distance))
         count = _count_steps(arc[-1] / tip_step)

@@ -3,10 +3,11 @@
 All of them take one compiled call.
 
 What does not depend on the parameters is prepared once. Each push is simulated just as `simulate`
-does it by itself, bit for bit, unless the batch may be approximate.
+does it by itself, bit for bit, unless the batch may be approximate. Pushes by other shapes than a
+disc are simulated one after another, by the kernels of several objects.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,10 +24,21 @@ from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     START_Y,
 )
 from gridpush_drake.dynamics.kernels.inputs import Pushes
+from gridpush_drake.dynamics.kernels.scene.records import PusherPath, SceneSteps
+from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.motion import RawJacobian
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, measure_steps
+from gridpush_drake.dynamics.scene.kernel_call import (
+    make_bodies,
+    make_pusher_path,
+    make_scene_contacts,
+    make_scene_state,
+    run_scene_kernel,
+)
+from gridpush_drake.dynamics.scene.simulation import check_shaped_push, count_scene_columns
 from gridpush_drake.dynamics.simulation import count_columns, find_edges_near
+from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -48,6 +60,28 @@ class BatchPush(NamedTuple):
     times: Array
     rows: IntArray
     table: Array | None
+
+
+class _ShapedPush(NamedTuple):
+    """A push by a pusher that is no single disc.
+
+    Attributes:
+        place: its place in the batch.
+        path: the pusher's path at the steps' times.
+        pose: (1, 3) q of the object at the beginning, m and rad.
+        dts: (T,) the steps, as `push.measure_steps` has them.
+        wanted: (R,) the poses among the T+1 that its rows are.
+        row_of_step: (T+1,) the first row that is each pose, -1 for none.
+        rows: (R,) the batch's rows that are this push's.
+    """
+
+    place: int
+    path: PusherPath
+    pose: Array
+    dts: Array
+    wanted: IntArray
+    row_of_step: IntArray
+    rows: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +127,8 @@ class PushBatch:
                 mm and 0.005 degrees at the end of 10 cm (`docs/theory/model.md`, section 10).
 
         Raises:
-            SimulationError: an object is not on its table, or the regime is "auto".
+            SimulationError: an object is not on its table, the regime is "auto", or a pusher of
+                another shape than a disc comes near an edge.
         """
         self.obj = obj
         self.physics = physics
@@ -102,12 +137,18 @@ class PushBatch:
         near = [
             find_edges_near(obj, one.push, one.pose, one.table, physics.inertial) for one in pushes
         ]
+        discs = [i for i, one in enumerate(pushes) if one.push.shape is None]
+        self._shaped = [
+            self._make_shaped(i, one, near[i])
+            for i, one in enumerate(pushes)
+            if one.push.shape is not None
+        ]
 
         # One call of the kernel knows one table; pushes far from any edge go together.
-        kinds = [None if edges is None else edges.tobytes() for edges in near]
+        kinds = {i: None if (edges := near[i]) is None else edges.tobytes() for i in discs}
         self._groups = []
-        for kind in dict.fromkeys(kinds):
-            chosen = np.array([i for i, one in enumerate(kinds) if one == kind])
+        for kind in dict.fromkeys(kinds.values()):
+            chosen = np.array([i for i, one in kinds.items() if one == kind])
             self._groups.append(self._make_group(pushes, chosen, near[chosen[0]]))
 
     def __len__(self) -> int:
@@ -125,6 +166,10 @@ class PushBatch:
         touched = np.empty(len(self), dtype=np.bool_)
         for group in self._groups:
             poses[group.rows], touched[group.chosen] = self._run(group, params, np.empty((0, 3, 0)))
+        for one, steps, _ in self._run_shaped(params, 0):
+            poses[one.rows] = steps.poses[one.wanted, 0]
+            unsolved = (steps.statuses[:, 0] != STEP_CONVERGED).any()
+            touched[one.place] = unsolved or steps.modes.any()
         return poses, touched
 
     @property
@@ -172,7 +217,64 @@ class PushBatch:
                 # With mu_i m_i held, m_i changes as 1 / mu_i.
                 held = raw.calc_friction() * params.friction - by_mass * params.mass
                 derivatives[group.rows, :, n + 6 :] = held @ changes
+        # the kernel's first columns: the cells' loads, the contact friction, and the start; and its
+        # last ones: the object's first pose
+        by_mass = params.friction * self.physics.gravity
+        width = count_scene_columns(Bodies(self.obj, params, self.physics))
+        for one, steps, J in self._run_shaped(params, width):
+            poses[one.rows] = steps.poses[one.wanted, 0]
+            own = J[one.row_of_step[one.wanted], 0]
+            derivatives[one.rows, :, :n] = own[..., :n] * by_mass
+            derivatives[one.rows, :, n : n + 3] = own[..., n : n + 3]
+            derivatives[one.rows, :, n + 3 : n + 6] = own[..., -3:]
         return poses, derivatives
+
+    def _run_shaped(
+        self, params: CellParameters, width: int
+    ) -> Iterator[tuple[_ShapedPush, SceneSteps, Array]]:
+        """Simulates the pushes by other shapes; yields each with its steps and its J (R, 1, 3, w).
+
+        Args:
+            params: the cells' parameters.
+            width: number of the kernel's columns of derivatives; none is wanted where it is 0.
+        """
+        if not self._shaped:
+            return
+        bodies = Bodies(self.obj, params, self.physics)
+        check_shaped_push(bodies)
+        arrays = make_bodies(bodies)
+        for one in self._shaped:
+            J = np.empty((len(one.rows), 1, 3, width))
+            steps = run_scene_kernel(
+                arrays,
+                self.physics,
+                pusher=one.path,
+                state=make_scene_state(one.pose),
+                contacts=make_scene_contacts(1),
+                dts=one.dts,
+                row_of_step=one.row_of_step,
+                J=J,
+            )
+            yield one, steps, J
+
+    def _make_shaped(self, place: int, one: BatchPush, near: Array | None) -> _ShapedPush:
+        """Prepares a push by a pusher that is no single disc; it may come over no table's edge."""
+        if near is not None:
+            raise SimulationError(
+                "table: loads shift under a pusher that is one disc only; expected its edge far off"
+            )
+        wanted, first = np.unique(one.rows, return_index=True)
+        row_of_step = np.full(len(one.times), -1)
+        row_of_step[wanted] = first
+        return _ShapedPush(
+            place=place,
+            path=make_pusher_path(one.push, one.times),
+            pose=np.array([one.pose], dtype=np.float64),
+            dts=measure_steps(one.push, one.times, self.physics.regime),
+            wanted=one.rows,
+            row_of_step=row_of_step,
+            rows=np.arange(self.offsets[place], self.offsets[place + 1]),
+        )
 
     def _run(
         self, group: _EdgeGroup, params: CellParameters, J: Array

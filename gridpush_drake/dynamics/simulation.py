@@ -48,7 +48,7 @@ from gridpush_drake.dynamics.push import (
 )
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
 from gridpush_drake.dynamics.scene.cores import check_overlap
-from gridpush_drake.dynamics.scene.simulation import simulate_together
+from gridpush_drake.dynamics.scene.simulation import simulate_one, simulate_together
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray, check_vector, rotate
 from gridpush_drake.objects.grid_object import GridObject
@@ -166,6 +166,18 @@ def simulate(
         )
     q = check_vector(SimulationError, "pose", pose, 3)
     nu = check_vector(SimulationError, "velocity", velocity, 3)
+    if isinstance(push, Push) and push.shape is not None:
+        for name, asked in (
+            ("velocity", nu.any()),
+            ("table", table is not None),
+            ("gradients", gradients not in (False, True)),
+        ):
+            if asked:
+                raise SimulationError(f"{name}: is for a pusher that is one disc; expected none")
+        physics = bodies.physics.with_regime(regime)
+        return simulate_one(
+            bodies.with_physics(physics), push, q, dt, bool(gradients), times, record
+        )
     needs_inertia = bool(nu.any()) or gradients == "paper"
     if regime is not None:
         bodies = bodies.with_physics(bodies.physics.with_regime(regime))

@@ -3,6 +3,15 @@ from .loop_run import Learner as Learner
 from .loop_run import run_loop as run_loop
 from .push_constraints import PushConstraints as PushConstraints
 from .pushed_object import FeedbackFinger as FeedbackFinger
+from .stable_push import MotionCone as MotionCone
+from .stable_push import PusherContacts as PusherContacts
+from .stable_push import PushStability as PushStability
+from .stable_push import Slip as Slip
+from .stable_push import calc_push_stability as calc_push_stability
+from .stable_push import calc_slip as calc_slip
+from .stable_push import calc_stable_probabilities as calc_stable_probabilities
+from .stable_push import find_pusher_contacts as find_pusher_contacts
+from .stable_push import find_turn_limits as find_turn_limits
 from .support_surface import SupportSurface as SupportSurface
 from .world import PushWorld as PushWorld
 from .world import SimulatedWorld as SimulatedWorld

@@ -199,7 +199,7 @@ def find_other_body_frames(obj: GridObject, log: PushLog) -> Iterator[str]:
     ends = [
         (seen.push.radius, transform_back(seen.final_pose, seen.push.xy[-1:])[0])
         for seen in log
-        if _ends_in_contact(obj, seen)
+        if seen.push.shape is None and _ends_in_contact(obj, seen)
     ]
     if len(ends) < FRAME_PUSHES:
         return
@@ -275,7 +275,11 @@ def calc_diameter(obj: GridObject) -> float:
 def _are_misplaced(obj: GridObject, log: PushLog, units: _Units) -> NDArray[np.bool_]:
     """Which pushes begin inside the object or pass it by."""
     slack = MAX_TIP_GAP + GAP_FRACTION * calc_diameter(obj)
-    return np.array([max(_calc_gap(obj, seen, units)) > slack for seen in log], dtype=bool)
+    # of a pusher that is no disc, the place alone does not tell
+    return np.array(
+        [seen.push.shape is None and max(_calc_gap(obj, seen, units)) > slack for seen in log],
+        dtype=bool,
+    )
 
 
 def _calc_gap(obj: GridObject, seen: ObservedPush, units: _Units) -> tuple[float, float]:

@@ -5,7 +5,11 @@ together), t, tip_x, tip_y (the disc's center), object_x, object_y, object_theta
 row, and wherever else it was observed; empty elsewhere) and, where they are known, force_x, force_y
 on the object, force_z on it, upwards, where those two are, overhang: 1 while a part of the object
 hung over the table's edge, 0 or empty otherwise (one such row marks the push), and table: its top
-in W as well-known text, POLYGON ((x y, x y, ...)), once in the file. Times are counted from each
+in W as well-known text, POLYGON ((x y, x y, ...)), once in the file. A push by another shape than a
+disc has tip_yaw, the angle of the pusher's frame, on every row, and pusher on its first: all places
+within a radius of MULTIPOINT ((x y), ...), the centers of discs, or of POLYGON ((x y, ...)) or
+LINESTRING (x y, x y), in the pusher's frame, such as MULTIPOINT ((0 -0.02), (0 0.02)) RADIUS 0.003;
+tip_x, tip_y are then the origin of that frame. Times are counted from each
 push's first row. A cell that holds nan counts as empty, and further columns are passed over with a
 warning.
 
@@ -29,7 +33,8 @@ import shapely
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.dynamics.pusher import PusherShape
+from gridpush_drake.errors import PushError, PushLogError, PushLogWarning
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.pushes.csv_table import (
@@ -81,7 +86,19 @@ OVERHANG_COLUMN = "overhang"
 TABLE_COLUMN = "table"
 """Column of the table's top."""
 
-KNOWN = (*FORCE_COLUMNS, LIFT_FORCE, OVERHANG_COLUMN, TABLE_COLUMN)
+YAW_COLUMN = "tip_yaw"
+"""Column of the angle of the pusher's frame."""
+
+PUSHER_COLUMN = "pusher"
+"""Column of the pusher's shape."""
+
+SHAPE_FORM = "MULTIPOINT ((x y), ...), POLYGON ((x y, ...)) or LINESTRING (x y, x y), then RADIUS r"
+"""Expected form of a pusher's shape, for messages."""
+
+SHAPE_RADIUS = "RADIUS"
+"""Word before the radius in it."""
+
+KNOWN = (*FORCE_COLUMNS, LIFT_FORCE, OVERHANG_COLUMN, TABLE_COLUMN, YAW_COLUMN, PUSHER_COLUMN)
 """Columns of what may be known besides."""
 
 PUSH_COLUMNS = (*REQUIRED_COLUMNS, *KNOWN)
@@ -93,7 +110,7 @@ FLAG_TEXTS = {"0": False, "1": True, "0.0": False, "1.0": True}
 EXPECTED_LOG = "a push log (CSV)"
 """The expected form of a file, for messages."""
 
-COLUMN_UNITS = {"t": "s", "force_x": "N", "force_y": "N", LIFT_FORCE: "N"}
+COLUMN_UNITS = {"t": "s", "force_x": "N", "force_y": "N", LIFT_FORCE: "N", YAW_COLUMN: "rad"}
 """Unit of each column; m where not listed, but rad of angles."""
 
 MAX_ROWS = 50_000
@@ -120,6 +137,8 @@ class _Row(NamedTuple):
         lift_force: its upward part, N; None where it is not known.
         overhang: whether the row says that the object hung over the table's edge.
         table: (K, 2) corners of the table's top, m; None where the row does not say.
+        yaw: angle of the pusher's frame, rad; None of a disc.
+        shape: the pusher's; None of a disc, and on rows after a push's first.
     """
 
     line: int
@@ -131,6 +150,8 @@ class _Row(NamedTuple):
     lift_force: float | None
     overhang: bool
     table: Array | None
+    yaw: float | None
+    shape: PusherShape | None
 
 
 def read_pushes(
@@ -328,6 +349,7 @@ def _parse_row(path: Path, line: int, cells: dict[str, str], pose_columns: tuple
     if hangs_over is None:
         fail(path, line, OVERHANG_COLUMN, f"is {flag[:MAX_SHOWN]!r}; expected 0 or 1, or empty")
     table = _read_table_top(path, line, cells.get(TABLE_COLUMN, "").strip())
+    yaw = _read_group(path, line, cells, (YAW_COLUMN,))
     return _Row(
         line=line,
         push=name,
@@ -338,6 +360,8 @@ def _parse_row(path: Path, line: int, cells: dict[str, str], pose_columns: tuple
         lift_force=None if upward is None else upward[0],
         overhang=hangs_over,
         table=table,
+        yaw=None if yaw is None else yaw[0],
+        shape=_read_shape(path, line, cells.get(PUSHER_COLUMN, "").strip()),
     )
 
 
@@ -368,6 +392,50 @@ def _read_table_top(path: Path, line: int, cell: str) -> Array | None:
         )
         fail(path, line, TABLE_COLUMN, f"is {cell[:MAX_SHOWN]!r}; {form}")
     return np.asarray(orient(polygon).exterior.coords)[:-1, :2]
+
+
+def _read_shape(path: Path, line: int, cell: str) -> PusherShape | None:
+    """Reads a pusher's shape; None of an empty cell."""
+    if is_empty(cell):
+        return None
+    text, found, radius = cell.partition(SHAPE_RADIUS)
+    size = parse_number(radius.strip())
+    try:
+        geometry = shapely.from_wkt(text.strip())
+    except shapely.GEOSException:
+        geometry = None
+    known = (shapely.MultiPoint, shapely.Point, shapely.LineString, shapely.Polygon)
+    if not found or size is None or not isinstance(geometry, known) or geometry.is_empty:
+        fail(path, line, PUSHER_COLUMN, f"is {cell[:MAX_SHOWN]!r}; expected {SHAPE_FORM} (m)")
+    # a ring ends where it begins
+    core = shapely.get_coordinates(geometry)
+    if isinstance(geometry, shapely.Polygon):
+        core = core[:-1]
+    joined = not isinstance(geometry, (shapely.MultiPoint, shapely.Point))
+    try:
+        return PusherShape(core, size, joined)
+    except PushError as error:
+        fail(path, line, PUSHER_COLUMN, str(error))
+
+
+def _make_path(path: Path, rows: list[_Row], radius: float) -> Push:
+    """Makes the motion of the pusher of a push's rows: of a disc of a radius, or of a shape."""
+    first = rows[0]
+    # a shape on the first row, and its angle on all
+    t = [row.t for row in rows]
+    tip = [row.tip for row in rows]
+    for row in rows:
+        if (row.yaw is None) != (first.shape is None):
+            turned = "is empty; expected an angle (rad)"
+            still = f"is given, but no {PUSHER_COLUMN} on the first row; expected both or none"
+            problem = turned if row.yaw is None else still
+            fail(path, row.line, YAW_COLUMN, f"of push {first.push!r} {problem}")
+        if row.shape is not None and row is not first:
+            fail(path, row.line, PUSHER_COLUMN, f"is not on the first row of push {first.push!r}")
+    if first.shape is None:
+        return Push.along(t, tip, radius)
+    yaw = np.unwrap([row.yaw or 0.0 for row in rows])
+    return Push.along(t, tip, shape=first.shape, yaw=yaw)
 
 
 def _read_number(
@@ -434,7 +502,7 @@ def _make_push(
     shape = (3,) if len(names) == 1 else (len(names), 3)
     return ObservedPush(
         name=first.push,
-        push=Push.along([row.t for row in rows], [row.tip for row in rows], radius),
+        push=_make_path(path, rows, radius),
         pose=np.reshape(poses[0], shape),
         t_observed=np.array([row.t - first.t for row in seen]),
         poses_observed=np.array(poses[1:]).reshape(-1, *shape),
@@ -480,13 +548,19 @@ def write_pushes(
     if any(seen.lift_force is not None for seen in pushes):
         forces = (*FORCE_COLUMNS, LIFT_FORCE)
     with_overhang = any(seen.overhang for seen in pushes)
+    shaped = any(seen.push.shape is not None for seen in pushes)
 
     # Columns of which nothing is known are left out.
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     more = [
         name
-        for name, there in ((OVERHANG_COLUMN, with_overhang), (TABLE_COLUMN, table is not None))
+        for name, there in (
+            (OVERHANG_COLUMN, with_overhang),
+            (TABLE_COLUMN, table is not None),
+            (YAW_COLUMN, shaped),
+            (PUSHER_COLUMN, shaped),
+        )
         if there
     ]
     writer.writerow([*PATH, *list_pose_columns(names), *forces, *more])
@@ -494,9 +568,14 @@ def write_pushes(
     text = [] if table is None else [_describe_table(table)]
     for seen in pushes:
         flag = [str(int(seen.overhang))] if with_overhang else []
-        for cells in _make_rows(seen, len(forces)):
-            writer.writerow([*cells, *flag, *text])
+        shape = [_describe_shape(seen.push.shape)] if shaped else []
+        for t, cells in _make_rows(seen, len(forces)):
+            yaw = [] if not shaped else [""]
+            if seen.push.shape is not None:
+                yaw = [repr(float(seen.push.yaw_at(t)))]
+            writer.writerow([*cells, *flag, *text, *yaw, *shape])
             text = [""] * len(text)
+            shape = [""] * len(shape)
     write_whole(path, buffer.getvalue(), force)
 
 
@@ -507,8 +586,22 @@ def _describe_table(corners: Array) -> str:
     return f"POLYGON (({points}))"
 
 
-def _make_rows(seen: ObservedPush, columns: int) -> Iterator[list[str]]:
-    """Makes the cells of each row of a push: a row for each time at which anything is known.
+def _describe_shape(shape: PusherShape | None) -> str:
+    """Writes a pusher's shape as `_read_shape` reads it, exact to the last bit; "" of a disc."""
+    if shape is None:
+        return ""
+    places = [f"{x!r} {y!r}" for x, y in shape.core.tolist()]
+    if not shape.joined:
+        core = f"MULTIPOINT ({', '.join(f'({place})' for place in places)})"
+    elif len(places) > 2:
+        core = f"POLYGON (({', '.join([*places, places[0]])}))"
+    else:
+        core = f"LINESTRING ({', '.join(places)})"
+    return f"{core} {SHAPE_RADIUS} {shape.radius!r}"
+
+
+def _make_rows(seen: ObservedPush, columns: int) -> Iterator[tuple[float, list[str]]]:
+    """Makes the rows of a push, time and cells: one for each time at which anything is known.
 
     Args:
         seen: the push.
@@ -529,4 +622,4 @@ def _make_rows(seen: ObservedPush, columns: int) -> Iterator[list[str]]:
         row = [seen.name, repr(t), *map(repr, tip), *map(repr, poses.get(t, []))]
         row += [""] * (required - len(row))
         row += map(repr, forces.get(t, []))
-        yield row + [""] * (required + columns - len(row))
+        yield t, row + [""] * (required + columns - len(row))

@@ -218,13 +218,16 @@ class PushLog(Frozen):
         )
 
     def with_radius(self, radius: float) -> "PushLog":
-        """Gives all pushes a disc of another radius, m.
+        """Gives all pushes by a disc one of another radius, m.
 
         Raises:
             PushError: the radius is not positive.
         """
         pushes = tuple(
-            replace(seen, push=replace(seen.push, radius=radius)) for seen in self.pushes
+            seen
+            if seen.push.shape is not None
+            else replace(seen, push=replace(seen.push, radius=radius))
+            for seen in self.pushes
         )
         return replace(self, pushes=pushes, radius_given=True)
 

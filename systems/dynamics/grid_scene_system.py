@@ -27,12 +27,13 @@ from gridpush_drake.dynamics.kernels.scene.records import (
 )
 from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.push import DEFAULT_DT
-from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS, PusherShape
 from gridpush_drake.dynamics.scene.cores import check_overlap
 from gridpush_drake.dynamics.scene.kernel_call import (
     make_bodies,
     make_scene_contacts,
     make_scene_state,
+    make_tool,
     run_scene_kernel,
 )
 from gridpush_drake.dynamics.scene.simulation import check_together
@@ -166,8 +167,10 @@ class GridSceneSystem(LeafSystem):
             self.bodies.physics,
             pusher=PusherPath(
                 tip=np.array([pusher[:2], pusher[:2] + path]),
+                yaw=np.zeros(2),
                 path_length=float(np.hypot(*path)),
-                radius=self.pusher_radius,
+                tool=make_tool(PusherShape.disc(self.pusher_radius)),
+                variations=np.empty((0, 2, 3)),
             ),
             state=state,
             contacts=contacts,

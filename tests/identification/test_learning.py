@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import IdentificationError, SimulationError
 from gridpush_drake.identification.fit.hypotheses import SmoothField, TwoParts
 from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
@@ -280,3 +282,33 @@ def test_what_predicts_worse_than_an_even_object_is_not_called_learned() -> None
         assert f"an even object by {1e3 * calc_error(obj, even, log):.1f} mm" in message
     # Worse by less than the noise of a pose it is no better; by more it should not be used.
     assert judged == {0.03: "prior_kept", 1.0: "explains_little"}
+
+
+def test_pushes_by_two_fingertips_tell_where_the_weight_is():
+    obj = make_block(max_cells=8)
+    heavy = CellParameters(
+        np.where(obj.p_BC[:, 0] > 0, 4.0, 1.0), np.full(obj.n, 0.3), contact_friction=0.4
+    )
+    tips = PusherShape.discs([(0.0, -0.015), (0.0, 0.015)], 0.004)
+    pushes = []
+    # on either long side, turning to either hand, tightly enough to slip
+    for side, y, along, turn in ((1, -1, -0.03, 0.3), (1, -1, 0.03, -0.3), (-1, 1, 0.0, 0.3)):
+        start = np.array([along, y * 0.034])
+        center = start + (-0.08 * side * np.sign(turn), 0.0)
+        push = Push.about(center, turn, shape=tips, start=start, yaw=side * np.pi / 2, duration=1.0)
+        end = Model(obj, heavy).simulate(push).final_pose
+        pushes.append(ObservedPush(f"p{len(pushes)}", push, np.zeros(3), [1.0], end[None]))
+    log = PushLog(tuple(pushes))
+    found = identify(Model(obj), log, seed=0)
+    learned = found.params.center_of_mass(obj)
+    assert heavy.center_of_mass(obj)[0] == pytest.approx(0.018)
+    assert learned[0] > 0.009
+    mine, even = (
+        [
+            np.linalg.norm(made.at_observations[-1, :2] - seen.final_pose[:2])
+            for made, seen in zip(predict(model, log), log, strict=True)
+        ]
+        for model in (found, Model(obj))
+    )
+    print(mine, even)
+    assert np.mean(mine) < 0.5 * np.mean(even)

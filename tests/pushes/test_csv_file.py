@@ -1,11 +1,12 @@
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS, PusherShape
 from gridpush_drake.errors import OutputError, PushError, PushLogError, PushLogWarning
 from gridpush_drake.pushes import push_csv
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -427,3 +428,50 @@ def test_refuses_two_tables(write):
     other = TABLE.replace("-1 -0.5", "-2 -0.5")
     rows = [f"{HEADER},table", f'a,0,-0.1,0,0,0,0,"{TABLE}"', f'a,1,0,0,0.01,0,0,"{other}"']
     refused(write("\n".join(rows)), "line 3, column table", "another one than before")
+
+
+SHAPED = f"""{HEADER},tip_yaw,pusher
+a,0,-0.1,0,0,0,0,3.1,"MULTIPOINT ((0 -0.02), (0 0.02)) RADIUS 0.003"
+a,1,-0.05,0,,,,-3.1,
+a,2,0,0,0.02,0,0.1,-3,
+b,5,0,0.1,0.5,0.5,3,,
+b,6,0,0.2,0.5,0.6,-3,,
+"""
+
+
+def test_carries_the_shape_of_a_pusher_beside_discs(write, tmp_path):
+    log = PushLog.read_csv(write(SHAPED), 0.01)
+    shaped, plain = (seen.push for seen in log)
+    np.testing.assert_array_equal(shaped.shape.core, [[0, -0.02], [0, 0.02]])
+    assert (shaped.radius, shaped.shape.joined) == (0.003, False)
+    # the angle goes on over a whole turn
+    np.testing.assert_allclose(shaped.yaw, [3.1, 2 * np.pi - 3.1, 2 * np.pi - 3])
+    assert plain.shape is None
+    assert plain.radius == 0.01
+    assert log.with_radius(0.02)[0].push.radius == 0.003
+    plate = PusherShape.plate(0.05, 0.01, 0.001)
+    line = PusherShape([(0, 0), (0, 1 / 3)], 0.01, True)
+    for shape in (plate, line):
+        push = Push.along([0, 1, 2], shaped.xy, shape=shape, yaw=[0, 1 / 3, 7])
+        log = PushLog((replace(log[0], push=push),))
+        log.write_csv(tmp_path / "again.csv", force=True)
+        again = PushLog.read_csv(tmp_path / "again.csv")[0].push
+        np.testing.assert_array_equal(again.shape.core, shape.core)
+        assert (again.shape.radius, again.shape.joined) == (shape.radius, True)
+        np.testing.assert_allclose(np.exp(1j * again.yaw), np.exp(1j * push.yaw))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("RADIUS 0.003", "", "line 2, column pusher"),
+        ("RADIUS 0.003", "RADIUS -1", "line 2, column pusher"),
+        ("MULTIPOINT", "MULTI", "line 2, column pusher"),
+        ("MULTIPOINT ((0 -0.02), (0 0.02))", "LINESTRING (0 0, 0 0)", "both corners are the same"),
+        (",-3.1,", ",,", "line 3, column tip_yaw"),
+        ("-3,,\n", "-3,1,\n", "line 6, column tip_yaw"),
+    ],
+)
+def test_refuses_what_is_no_shape_of_a_pusher(write, old, new, says):
+    assert old in SHAPED
+    refused(write(SHAPED.replace(old, new)), says)

@@ -20,12 +20,23 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     PusherPath,
     SceneSteps,
     Tolerances,
+    Tool,
 )
 from gridpush_drake.dynamics.kernels.scene.rollout import rollout_scene
 from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.dynamics.scene.cores import calc_outline_reach, get_core
 from gridpush_drake.geometry.polygons import OutlineEdges
-from gridpush_drake.geometry.se2 import Array, IntArray
+from gridpush_drake.geometry.se2 import Array, IntArray, rotate
+
+YAW, TURN, CENTER_X, CENTER_Y = range(4)
+"""Ways in which the path of a pusher that is no disc is varied: all yaws by as much; in proportion
+to how far it has turned, by one radian at the end, its places held; and by moving the center of
+rotation, the start and the yaws held."""
+
+PATH_VARIATIONS = 4
+"""Number of them."""
 
 CONTACTS_A_BODY = 16
 """Contacts within reach for which there is room, for each body."""
@@ -96,6 +107,61 @@ def make_scene_contacts(n: int) -> Contacts:
         last_modes=np.zeros(room, np.int64),
         counts=np.zeros(2, np.int64),
         lost=np.zeros(1, np.int64),
+    )
+
+
+def make_tool(shape: PusherShape) -> Tool:
+    """Collects what the kernels know of a pusher's shape."""
+    corners = shape.core
+    places = np.arange(len(corners))
+    # an edge of no length at each of several discs
+    ends = np.roll(corners, -1, axis=0) if shape.joined else corners
+    return Tool(
+        radius=shape.radius,
+        core=Edges(
+            ax=corners[:, 0].copy(),
+            ay=corners[:, 1].copy(),
+            bx=ends[:, 0].copy(),
+            by=ends[:, 1].copy(),
+            previous=np.roll(places, 1) if shape.joined else places,
+        ),
+        joined=shape.joined,
+        reach=shape.reach,
+    )
+
+
+def make_pusher_path(push: Push, times: Array, varied: bool = False) -> PusherPath:
+    """Samples a push at times (T+1,), s.
+
+    Args:
+        push: the push.
+        times: when, s from its beginning.
+        varied: whether a shape's path is varied in all `PATH_VARIATIONS` ways, for derivatives; a
+            disc's never is.
+    """
+    ways = PATH_VARIATIONS if varied and push.shape is not None else 0
+    variations = np.zeros((ways, len(times), 3))
+    yaw = push.yaw_at(times)
+    if ways and push.yaw is not None:
+        # every sample of the path varies; between samples, the path is straight
+        turned = push.yaw - push.yaw[0]
+        moves = np.zeros((ways, len(turned), 3))
+        moves[YAW, :, 2] = 1.0
+        if turned[-1] != 0:
+            moves[TURN, :, 2] = turned / turned[-1]
+        # Moves e of the center of rotation, from which the start does not move: (1 - R) e.
+        for axis in (0, 1):
+            e = np.eye(2)[axis]
+            moves[CENTER_X + axis, :, :2] = e - rotate(turned, e)
+        for way, move in enumerate(moves):
+            for a in range(3):
+                variations[way, :, a] = np.interp(times, push.t, move[:, a])
+    return PusherPath(
+        tip=push.tip_at(times),
+        yaw=yaw,
+        path_length=push.length,
+        tool=make_tool(push.shape or PusherShape.disc(push.radius)),
+        variations=variations,
     )
 
 

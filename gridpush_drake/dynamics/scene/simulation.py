@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.bodies import Bodies, describe_object
-from gridpush_drake.dynamics.kernels.scene.records import PusherPath, SceneSteps
+from gridpush_drake.dynamics.kernels.scene.records import SceneSteps
+from gridpush_drake.dynamics.kernels.scene.step_derivative import PUSH_COLUMNS
 from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.motion import (
     NO_BODY,
@@ -29,16 +30,20 @@ from gridpush_drake.dynamics.push import (
     measure_steps,
 )
 from gridpush_drake.dynamics.scene.kernel_call import (
+    CENTER_X,
+    CENTER_Y,
+    PATH_VARIATIONS,
+    TURN,
+    YAW,
     make_bodies,
+    make_pusher_path,
     make_scene_contacts,
     make_scene_state,
     run_scene_kernel,
 )
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray, rotate
-
-PUSH_COLUMNS = 4
-"""Columns of derivatives of the push: start x, start y, direction, length."""
+from gridpush_drake.objects.parameters import CellParameters
 
 
 def simulate_together(
@@ -82,15 +87,16 @@ def simulate_together(
     row_of_step[rows] = np.arange(len(rows))
     J = np.empty((0, n, 3, 0))
     if gradients:
-        J = np.empty((len(rows), n, 3, count_scene_columns(bodies)))
+        width = count_scene_columns(bodies, push.shape is not None)
+        J = np.empty((len(rows), n, 3, width))
 
     # The kernel, from rest.
-    tip = push.tip_at(times)
+    path = make_pusher_path(push, times, gradients)
     contacts = make_scene_contacts(n)
     result = run_scene_kernel(
         make_bodies(bodies),
         used,
-        pusher=PusherPath(tip=tip, path_length=push.length, radius=push.radius),
+        pusher=path,
         state=make_scene_state(poses),
         contacts=contacts,
         dts=dts,
@@ -107,7 +113,7 @@ def simulate_together(
         times=times,
         poses=result.poses,
         velocities=_calc_velocities(result, dts / np.diff(times)),
-        tip=tip,
+        tip=path.tip,
         contact_forces=result.forces[:, :room],
         contact_points=result.points[:, :room],
         modes=result.modes[:, :room],
@@ -120,8 +126,78 @@ def simulate_together(
         contact_bodies=pairs[:, :room],
         contact_gaps=result.gaps[:, :room],
         residuals=result.residuals,
+        yaw=None if push.yaw is None else path.yaw,
         _jacobian=expand_columns(bodies, J, rows) if gradients else None,
     )
+
+
+def simulate_one(
+    bodies: Bodies,
+    push: Push,
+    pose: Array,
+    dt: float | None = None,
+    gradients: bool = False,
+    times: ArrayLike | None = None,
+    record: ArrayLike | None = None,
+) -> Motion:
+    """Simulates one push of one object by a pusher of any shape, quasi-statically.
+
+    The arguments, and errors, are those of `simulate_together`.
+
+    Returns:
+        The motion, as that of one object under a disc, but with room for more contacts.
+    """
+    # as one of several, and then without the axis of the objects
+    motion = simulate_together(
+        check_shaped_push(bodies), push, pose[None], dt, gradients, times, record
+    )
+    jacobian = None
+    if isinstance(motion._jacobian, Jacobian):
+        blocks = vars(motion._jacobian)
+        one = {
+            name: block[:, 0]
+            for name, block in blocks.items()
+            if isinstance(block, np.ndarray) and name != "steps"
+        }
+        one["contact_friction"] = one["contact_friction"][..., 0]
+        one["pose"] = one["pose"][..., 0, :]
+        jacobian = Jacobian(**{**blocks, **one, "pair_friction": None})
+    return replace(
+        motion,
+        poses=motion.poses[:, 0],
+        velocities=motion.velocities[:, 0],
+        load_centers=motion.load_centers[:, 0],
+        tips=motion.tips[:, 0],
+        contact_bodies=None,
+        _jacobian=jacobian,
+    )
+
+
+def check_shaped_push(bodies: Bodies) -> Bodies:
+    """Refuses what a disc alone can do to an object, and makes the regime "auto" "quasi_static".
+
+    Raises:
+        SimulationError: names what it is.
+    """
+    physics = bodies.physics
+    if physics.regime == "inertial":
+        raise SimulationError(
+            "regime: 'inertial' is for a pusher that is one disc; expected 'quasi_static'"
+        )
+    if bodies.params.push_height > 0:
+        raise SimulationError(
+            "push_height: loads shift under a pusher that is one disc only; expected 0"
+        )
+    check_table_friction(bodies.params, physics.gravity, "")
+    return bodies.with_physics(replace(physics, regime="quasi_static"))
+
+
+def check_table_friction(params: CellParameters, gravity: float, name: str) -> None:
+    """Raises SimulationError where an object of that name has no friction with the support."""
+    if params.friction @ params.mass * gravity <= 0:
+        raise SimulationError(
+            f"{name}friction is zero; the quasi-static regime needs some friction with the support"
+        )
 
 
 def check_together(bodies: Bodies) -> Bodies:
@@ -137,20 +213,22 @@ def check_together(bodies: Bodies) -> Bodies:
         name = describe_object(bodies.objects, i)
         asked = f"{name}: push_height"
         refuse_several(SimulationError, "push_height", params.push_height > 0, asked)
-        if params.friction @ params.mass * physics.gravity <= 0:
-            raise SimulationError(
-                f"{name}: friction is zero; the quasi-static regime needs some friction with the "
-                "support"
-            )
+        check_table_friction(params, physics.gravity, f"{name}: ")
     return bodies.with_physics(replace(physics, regime="quasi_static"))
 
 
-def count_scene_columns(bodies: Bodies) -> int:
-    """Counts the kernel's columns of derivatives, see `kernels.scene.step_derivative`."""
+def count_scene_columns(bodies: Bodies, varied: bool = False) -> int:
+    """Counts the kernel's columns of derivatives, see `kernels.scene.step_derivative`.
+
+    Args:
+        bodies: the objects.
+        varied: whether the path of the pusher is varied, see `make_pusher_path`.
+    """
     # by the cells' loads, by each kind of friction, by the push, and by the first poses
     n = len(bodies)
     cells = sum(obj.n for obj in bodies.objects)
-    return cells + n + n * (n - 1) // 2 + PUSH_COLUMNS + 3 * n
+    by_push = PUSH_COLUMNS + (PATH_VARIATIONS if varied else 0)
+    return cells + n + n * (n - 1) // 2 + by_push + 3 * n
 
 
 def expand_columns(bodies: Bodies, J: Array, rows: IntArray) -> Jacobian:
@@ -159,8 +237,10 @@ def expand_columns(bodies: Bodies, J: Array, rows: IntArray) -> Jacobian:
     n = len(bodies)
     cells = sum(obj.n for obj in bodies.objects)
     pairs = n * (n - 1) // 2
-    ends = np.cumsum([cells, n, pairs, 2, 1, 1, 3 * n])
-    load, finger, pair, start, direction, length, pose = np.split(J, ends[:-1], axis=-1)
+    ends = np.cumsum([cells, n, pairs, 2, 1, 1])
+    load, finger, pair, start, direction, length, rest = np.split(J, ends, axis=-1)
+    varied = rest[..., : -3 * n]
+    pose = rest[..., -3 * n :]
     by_pair = np.zeros((*J.shape[:3], n, n))
     # one number stands in two places of the matrix
     i, j = np.triu_indices(n, 1)
@@ -180,6 +260,9 @@ def expand_columns(bodies: Bodies, J: Array, rows: IntArray) -> Jacobian:
         length=length[..., 0],
         pose=pose.reshape(*J.shape[:3], n, 3),
         pair_friction=by_pair,
+        yaw=varied[..., YAW] if varied.shape[-1] else None,
+        turn=varied[..., TURN] if varied.shape[-1] else None,
+        center=varied[..., CENTER_X : CENTER_Y + 1] if varied.shape[-1] else None,
     )
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics import GRAVITY
-from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array, IntArray, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
@@ -379,7 +378,7 @@ def _trim(seen: ObservedPush, mask: Mask) -> ObservedPush | None:
         lift_force = None if lift_force is None else lift_force[rest]
     return ObservedPush(
         name=seen.name,
-        push=Push.along(t, seen.push.tip_at(t), seen.push.radius),
+        push=seen.push.cut(t),
         pose=seen.poses_observed[kept[0] - 1],
         t_observed=times - begin,
         poses_observed=poses,

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.kernels.scene.records import PusherPath
 from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.push import Push, make_path_times, measure_steps
 from gridpush_drake.dynamics.scene.kernel_call import (
     make_bodies,
+    make_pusher_path,
     make_scene_contacts,
     make_scene_state,
     run_scene_kernel,
@@ -112,7 +112,7 @@ class SceneRollouts:
         steps = run_scene_kernel(
             self._bodies,
             self._physics,
-            pusher=PusherPath(tip=push.tip_at(times), path_length=push.length, radius=push.radius),
+            pusher=make_pusher_path(push, times),
             state=make_scene_state(poses),
             contacts=contacts,
             dts=measure_steps(push, times, regime),

@@ -17,9 +17,11 @@ IMPORTER_CLASSES = {
     "bag": "bag.BagImporter",
     "closed-loop": "closed_loop.ClosedLoopImporter",
     "cmu": "cmu.CmuImporter",
+    "dubins": "dubins.DubinsImporter",
     "mit": "mit.MitImporter",
     "mit-tracked": "mit_tracked.MitTrackedImporter",
     "qualisys": "qualisys.QualisysImporter",
+    "two-point": "two_point.TwoPointImporter",
 }
 """By the name that follows `gridpush import`: the module here, and the class in it."""
 

@@ -74,13 +74,13 @@ def read_cmu(path: Path) -> list[CmuPush]:
         PushLogError: the file cannot be read, is cut short, goes on after its last push, or a line
             is not what it should be; the message names the file, the line and the expected form.
     """
-    lines = _FileLines(path)
+    lines = FileLines(path, "a file of the CMU pushes")
     pushes = [_read_push(lines, i) for i in range(lines.count("the number of pushes"))]
     lines.expect_end()
     return pushes
 
 
-def _read_push(lines: "_FileLines", i: int) -> CmuPush:
+def _read_push(lines: "FileLines", i: int) -> CmuPush:
     """Takes the lines of push number i, from 0."""
     before = lines.table(1, POSE_SIZE, f"push {i + 1}: the object's pose before, {POSE_FORM}")[0]
     after = lines.table(1, POSE_SIZE, f"push {i + 1}: its pose after, {POSE_FORM}")[0]
@@ -91,12 +91,13 @@ def _read_push(lines: "_FileLines", i: int) -> CmuPush:
     return CmuPush(before=before, after=after, force=force, tool=tool)
 
 
-class _FileLines:
-    """The file's lines with something on them, taken from the top."""
+class FileLines:
+    """The lines of a text file with something on them, taken from the top."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, form: str) -> None:
+        """Reads a file; `form` says what it should be, for messages."""
         self._path = path
-        text = read_text(path, "a file of the CMU pushes", PushLogError)
+        text = read_text(path, form, PushLogError)
         lines = enumerate(text.splitlines(), start=1)
         self._lines = [(number, words) for number, line in lines if (words := line.split())]
         self._next = 0
@@ -109,13 +110,21 @@ class _FileLines:
             self._fail(number, words, f"{what}, a whole number of at least 1")
         return int(words[0])
 
-    def table(self, rows: int, size: int, what: str) -> Array:
+    def words(self, number: int, what: str) -> list[str]:
+        """Takes a line with so many words."""
+        line, words = self._take(what)
+        if len(words) != number:
+            self._fail(line, words, what)
+        return words
+
+    def table(self, rows: int, size: int, what: str, quaternion: bool = True) -> Array:
         """Takes lines of finite numbers.
 
         Args:
             rows: how many lines.
-            size: how many numbers a line; one of at least 7 ends in a unit quaternion.
+            size: how many numbers a line.
             what: what is expected, for messages.
+            quaternion: whether a line of at least 7 numbers ends in a unit quaternion.
 
         Returns:
             (rows, size) the numbers.
@@ -131,7 +140,8 @@ class _FileLines:
             if len(values) != size or not (np.abs(values) <= MAX_NUMBER).all():
                 self._fail(number, words, what)
             table[row] = values
-            norm = float(np.linalg.norm(table[row, -4:])) if size >= POSE_SIZE else 1.0
+            turns = quaternion and size >= POSE_SIZE
+            norm = float(np.linalg.norm(table[row, -4:])) if turns else 1.0
             if abs(norm - 1) > QUATERNION_TOLERANCE:
                 self._fail(number, words, f"{what} with a quaternion of length 1")
         return table

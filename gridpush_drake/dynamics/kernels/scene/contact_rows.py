@@ -26,12 +26,13 @@ from gridpush_drake.dynamics.kernels.scene.records import (
 )
 
 PUSHER_COMPLIANCE = 1e-9
-"""Compliance of the pusher's contacts where there is more than one, as a fraction of speed/load.
+"""Compliance of a disc's contacts where there is more than one, as a fraction of speed/load.
 
 It makes contacts that share a load in more than one way well posed."""
 
 PAIR_COMPLIANCE = 1e-5
-"""Compliance of two bodies' contacts, as a fraction of speed/load.
+"""Compliance of two bodies' contacts, and of a pusher's that is no single disc, as a fraction of
+speed/load.
 
 Bodies that touch at three places and more would squeeze each other by any force wherever their gaps
 disagree by a rounding error. So soft, a contact that bears the whole load gives way by 10 µm for
@@ -50,11 +51,13 @@ class SceneScales(NamedTuple):
         load: friction with the table that all cells of all bodies can carry, N.
         speed: of the pusher and of the fastest approach, m/s.
         tip_speed: of the pusher; `speed` where it stands still, m/s.
+        disc: whether the pusher is one disc.
     """
 
     load: float
     speed: float
     tip_speed: float
+    disc: bool
 
 
 class ContactWork(NamedTuple):
@@ -227,9 +230,12 @@ def calc_compliance(contacts, scales):
 
     That of two bodies goes with the pusher's speed, which does not hang on where the bodies are.
     """
+    pair = PAIR_COMPLIANCE * scales.tip_speed / scales.load
+    if not scales.disc:
+        return pair, pair
     several = contacts.counts[0] > 1
     finger = PUSHER_COMPLIANCE * scales.speed / scales.load if several else 0.0
-    return finger, PAIR_COMPLIANCE * scales.tip_speed / scales.load
+    return finger, pair
 
 
 @kernel(allocates=False)

@@ -13,6 +13,7 @@ subtracted. That is how `step_derivative` differentiates a step by what it start
 from cmath import cos, sin, sqrt
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
+from gridpush_drake.dynamics.kernels.scene.contacts import name_touched_vertex
 from gridpush_drake.dynamics.kernels.scene.records import (
     FIRST_BEND,
     FIRST_BODY,
@@ -31,11 +32,13 @@ OTHER_POSE = 6
 OTHER_TWIST = 9
 TIP_INPUT = 12
 TIP_VELOCITY = 14
+TIP_YAW = 16
+TIP_RATE = 17
 """Places in what a contact depends on: pose (W) and twist (body frame) of its first body and of its
-second, and of the pusher place and velocity (W); the last two are used where the second body is the
-pusher."""
+second, and of the pusher place, velocity, yaw and angular velocity (W); the last four are used
+where the second body is the pusher."""
 
-INPUT_COUNT = 16
+INPUT_COUNT = 18
 """Number of them."""
 
 WRENCH_OUTPUT = 0
@@ -53,15 +56,15 @@ _SAME_GAP = 1e-12
 
 
 @kernel(allocates=False)
-def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
+def calc_contact_terms(z, bodies, ids, numbers, tool, h, dt, xi, lam, out):
     """Calculates a contact's wrenches and velocities.
 
     Args:
-        z: (16,) complex, what it depends on, see above.
+        z: (18,) complex, what it depends on, see above.
         bodies: `BodyArrays`.
         ids: (4,) identity of the contact.
         numbers: (16,) its numbers, of which those that say which features touch are used.
-        radius: of the pusher, m.
+        tool: `Tool`, the pusher's shape.
         h: time after which the step looks at the bodies, s.
         dt: the step, s.
         xi: (N, 3) twists of the step.
@@ -70,6 +73,9 @@ def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
     """
     i = ids[FIRST_BODY]
     j = ids[SECOND_BODY]
+    if j < 0 and ids[VERTEX] < 0:
+        _calc_face_terms(z, bodies, ids, tool, h, dt, xi, lam, out)
+        return
     x = z[POSE_INPUT]
     y = z[POSE_INPUT + 1]
     theta = z[POSE_INPUT + 2]
@@ -83,20 +89,28 @@ def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
     normal_force = lam[0]
     tangential_force = lam[1]
 
-    # The disc's center t and velocity v, seen from the first body: that of the pusher, or of a
-    # vertex p of the second body, which moves as it did.
+    # The disc's center t and velocity v, seen from the first body: that at a vertex p of the
+    # pusher, or of the second body, which moves as it did.
     px = 0.0
     py = 0.0
     corner = 0.0
     own_corner = 0.0
     if j < 0:
-        disc = radius
+        disc = tool.radius
         edges = bodies.outline
         first = bodies.first_edge[i]
-        world_x = z[TIP_INPUT]
-        world_y = z[TIP_INPUT + 1]
-        world_vx = z[TIP_VELOCITY]
-        world_vy = z[TIP_VELOCITY + 1]
+        px = tool.core.ax[ids[VERTEX]]
+        py = tool.core.ay[ids[VERTEX]]
+        tool_c = cos(z[TIP_YAW])
+        tool_s = sin(z[TIP_YAW])
+        # their mean change in the step
+        next_yaw = z[TIP_YAW] + z[TIP_RATE] * dt
+        turn_vc = (cos(next_yaw) - tool_c) / dt
+        turn_vs = (sin(next_yaw) - tool_s) / dt
+        world_x = z[TIP_INPUT] + (tool_c * px - tool_s * py)
+        world_y = z[TIP_INPUT + 1] + (tool_s * px + tool_c * py)
+        world_vx = z[TIP_VELOCITY] + (turn_vc * px - turn_vs * py)
+        world_vy = z[TIP_VELOCITY + 1] + (turn_vs * px + turn_vc * py)
     else:
         edges = bodies.core
         first = bodies.first_corner[i]
@@ -189,11 +203,12 @@ def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
     slip_y = xi[i, 1] + new_w * px_contact
     a = h * w
     if j < 0:
-        # the pusher's velocity in that frame
+        # the pusher's velocity in that frame, where it touches
         ca = cos(a)
         sa = sin(a)
-        slip_x = slip_x - ca * vx - sa * vy
-        slip_y = slip_y + sa * vx - ca * vy
+        spin = z[TIP_RATE] * disc
+        slip_x = slip_x - ca * vx - sa * vy + spin * ny
+        slip_y = slip_y + sa * vx - ca * vy - spin * nx
         out[APPROACH_OUTPUT] = nx * slip_x + ny * slip_y + gap / dt
         out[SLIP_OUTPUT] = nx * slip_y - ny * slip_x
         for k in range(3):
@@ -223,6 +238,75 @@ def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
     other_tangential_speed = other_nx * other_y - other_ny * other_x
     out[APPROACH_OUTPUT] = normal_speed - other_normal_speed + gap / dt
     out[SLIP_OUTPUT] = tangential_speed - other_tangential_speed
+
+
+@kernel(allocates=False)
+def _calc_face_terms(z, bodies, ids, tool, h, dt, xi, lam, out):
+    """Calculates wrench and velocities where a face of the pusher touches a vertex of the body.
+
+    The arguments are those of `calc_contact_terms`.
+    """
+    i = ids[FIRST_BODY]
+    touched = bodies.first_edge[i] + name_touched_vertex(ids[VERTEX])
+    px = bodies.outline.ax[touched]
+    py = bodies.outline.ay[touched]
+    edge = ids[ROW_FEATURE]
+    ax = tool.core.ax[edge]
+    ay = tool.core.ay[edge]
+    ex = tool.core.bx[edge] - ax
+    ey = tool.core.by[edge] - ay
+    length = (ex * ex + ey * ey) ** 0.5
+
+    # The vertex in the pusher's frame, and its gap now.
+    theta = z[POSE_INPUT + 2]
+    c = cos(theta)
+    s = sin(theta)
+    tool_c = cos(z[TIP_YAW])
+    tool_s = sin(z[TIP_YAW])
+    dx = z[POSE_INPUT] - z[TIP_INPUT]
+    dy = z[POSE_INPUT + 1] - z[TIP_INPUT + 1]
+    dx += c * px - s * py
+    dy += s * px + c * py
+    lx = tool_c * dx + tool_s * dy
+    ly = -tool_s * dx + tool_c * dy
+    rx = lx - ax
+    ry = ly - ay
+    gap = (rx * ey - ry * ex) / length - tool.radius
+
+    # The face's normal halfway through the step, in the body's frame there.
+    angle = theta + h * z[TWIST_INPUT + 2]
+    turn = z[TIP_YAW] + h * z[TIP_RATE] - angle
+    turn_c = cos(turn)
+    turn_s = sin(turn)
+    outward_x = ey / length
+    outward_y = -ex / length
+    nx = turn_c * outward_x - turn_s * outward_y
+    ny = turn_s * outward_x + turn_c * outward_y
+
+    # The velocity of the pusher's point that is there now, in that frame.
+    next_yaw = z[TIP_YAW] + z[TIP_RATE] * dt
+    turn_vc = (cos(next_yaw) - tool_c) / dt
+    turn_vs = (sin(next_yaw) - tool_s) / dt
+    world_vx = z[TIP_VELOCITY] + (turn_vc * lx - turn_vs * ly)
+    world_vy = z[TIP_VELOCITY + 1] + (turn_vs * lx + turn_vc * ly)
+    ca = cos(angle)
+    sa = sin(angle)
+    vx = ca * world_vx + sa * world_vy
+    vy = ca * world_vy - sa * world_vx
+
+    fx = nx * lam[0] - ny * lam[1]
+    fy = ny * lam[0] + nx * lam[1]
+    out[WRENCH_OUTPUT] = fx
+    out[WRENCH_OUTPUT + 1] = fy
+    out[WRENCH_OUTPUT + 2] = px * fy - py * fx
+    # the body's velocity there, seen from the pusher
+    new_w = xi[i, 2]
+    slip_x = xi[i, 0] - new_w * py - vx
+    slip_y = xi[i, 1] + new_w * px - vy
+    out[APPROACH_OUTPUT] = nx * slip_x + ny * slip_y + gap / dt
+    out[SLIP_OUTPUT] = nx * slip_y - ny * slip_x
+    for k in range(3):
+        out[OTHER_WRENCH + k] = 0.0
 
 
 @kernel(allocates=False)

@@ -1,10 +1,13 @@
 """Where bodies and pusher touch: every contact of a step, as a row.
 
-The pusher is a disc against each outline, as in `dynamics.kernels.contact.contact`. Two bodies
-touch by their cores, the outlines moved inwards by the radius of their corners: each convex vertex
-of one core is a disc of both radii against the other core. A corner is so round, and the normal of
-a contact turns evenly as it goes round it. Two edges that lie on each other touch at the two ends
-of what they have in common.
+The pusher is one disc or more against each outline, as in `dynamics.kernels.contact.contact`. One
+with a polygon for its core has a disc at every vertex, and faces that touch the outline's convex
+vertices.
+
+Two bodies touch by their cores, the outlines moved inwards by the radius of their corners: each
+convex vertex of one core is a disc of both radii against the other core. A corner is so round, and
+the normal of a contact turns evenly as it goes round it. Two edges that lie on each other touch at
+the two ends of what they have in common.
 
 As in the step of one body, gaps are those when the step begins, while place and normal are those
 expected halfway through it (`contact.look_ahead`).
@@ -76,13 +79,13 @@ def take_edges(edges, first, last):
 
 
 @kernel(allocates=False)
-def find_scene_contacts(bodies, state, disc, dt, h, found, ahead, contacts):
+def find_scene_contacts(bodies, state, motion, dt, h, found, ahead, contacts):
     """Finds the contacts of a step; their modes are those of the step before, where they were.
 
     Args:
         bodies: `BodyArrays`.
         state: `SceneState`.
-        disc: `Disc`, the pusher.
+        motion: `ToolMotion`, the pusher.
         dt, h: the step, and the time after which it looks at the bodies, s.
         found, ahead: workspace (2, 9), each.
         contacts: `Contacts`, filled.
@@ -97,10 +100,10 @@ def find_scene_contacts(bodies, state, disc, dt, h, found, ahead, contacts):
         contacts.last_modes[r] = contacts.modes[r]
         for column in range(IDENTITY_SIZE):
             contacts.last_ids[r, column] = contacts.ids[r, column]
-    tip_speed = sqrt(disc.vx * disc.vx + disc.vy * disc.vy)
+    tip_speed, _ = find_fastest_vertex(motion)
     recovery = OVERLAP_RECOVERY * tip_speed * dt
     n = state.q.shape[0]
-    gap = _find_finger_contacts(bodies, state, disc, tip_speed, dt, h, found, ahead, contacts)
+    gap = _find_finger_contacts(bodies, state, motion, tip_speed, dt, h, found, ahead, contacts)
     for i in range(n):
         for j in range(n):
             if i == j:
@@ -128,43 +131,266 @@ def _calc_speed(bodies, state, b):
     return sqrt(ux * ux + uy * uy) + turning
 
 
+@kernel(allocates=False, inlined=True)
+def calc_place(motion, px, py):
+    """Calculates where a point p of the pusher, in its frame, is in W, and its mean velocity."""
+    c = motion.turn_c
+    s = motion.turn_s
+    arm_x = c * px - s * py
+    arm_y = s * px + c * py
+    # how the arm changes on average, by the chord of its arc
+    vc = motion.turn_vc
+    vs = motion.turn_vs
+    change_x = vc * px - vs * py
+    change_y = vs * px + vc * py
+    return motion.x + arm_x, motion.y + arm_y, motion.vx + change_x, motion.vy + change_y
+
+
+@kernel(allocates=False, inlined=True)
+def _see_vertex(state, i, motion, px, py):
+    """Calculates where a point p of body i, in its frame, is in the pusher's frame, m."""
+    c = state.turn[i, 0]
+    s = state.turn[i, 1]
+    # from the pusher's origin, in W
+    dx = state.q[i, 0] - motion.x
+    dy = state.q[i, 1] - motion.y
+    dx += c * px - s * py
+    dy += s * px + c * py
+    c = motion.turn_c
+    s = motion.turn_s
+    return c * dx + s * dy, c * dy - s * dx
+
+
 @kernel(allocates=False)
-def _find_finger_contacts(bodies, state, disc, tip_speed, dt, h, found, ahead, contacts):
+def find_fastest_vertex(motion):
+    """Finds how fast the fastest vertex of the pusher's core is, m/s, and which one it is."""
+    core = motion.tool.core
+    fastest2 = -1.0
+    vertex = 0
+    for k in range(core.ax.shape[0]):
+        _, _, vx, vy = calc_place(motion, core.ax[k], core.ay[k])
+        speed2 = vx * vx + vy * vy
+        if speed2 > fastest2:
+            fastest2 = speed2
+            vertex = k
+    return sqrt(max(fastest2, 0.0)), vertex
+
+
+@kernel(allocates=False)
+def name_touched_vertex(v):
+    """The number that stands in a contact's identity where a face of the pusher touches vertex v.
+
+    It is its own inverse.
+    """
+    return -1 - v
+
+
+@kernel(allocates=False)
+def _find_finger_contacts(bodies, state, motion, tip_speed, dt, h, found, ahead, contacts):
     """Finds the contacts of the pusher with every outline; returns its least gap, m."""
     least = float("inf")
-    if disc.radius <= 0.0:
+    tool = motion.tool
+    if tool.radius <= 0.0:
         return least
     reach = _REACH * tip_speed * dt
     for i in range(state.q.shape[0]):
-        c = state.turn[i, 0]
-        s = state.turn[i, 1]
-        dx = disc.x - state.q[i, 0]
-        dy = disc.y - state.q[i, 1]
-        limit = bodies.reach[i] + disc.radius + reach
+        dx = motion.x - state.q[i, 0]
+        dy = motion.y - state.q[i, 1]
+        limit = bodies.reach[i] + tool.reach + reach
         if dx * dx + dy * dy > limit * limit:
             continue
         edges = take_edges(bodies.outline, bodies.first_edge[i], bodies.first_edge[i + 1])
+        for k in range(tool.core.ax.shape[0]):
+            gap = _find_vertex_contacts(
+                bodies, state, i, edges, motion, k, reach, h, found, ahead, contacts
+            )
+            least = min(least, gap)
+        if tool.joined:
+            gap = _find_face_contacts(bodies, state, i, edges, motion, reach, h, contacts)
+            least = min(least, gap)
+    return least
 
-        # The disc's center and velocity in the body frame, and its motion seen from the body.
-        tx = c * dx + s * dy
-        ty = -s * dx + c * dy
-        vx = c * disc.vx + s * disc.vy
-        vy = -s * disc.vx + c * disc.vy
-        count = _look(edges, state, i, tx, ty, vx, vy, disc.radius, reach, h, found, ahead)
-        if count > 0:
-            least = min(least, found[0, GAP])
-        for row in range(count):
-            r = _take_row(contacts, ahead[row, GAP])
-            if r >= 0:
-                _write_row(contacts, r, i, FINGER_BODY, 0, found, ahead, row)
-                numbers = contacts.numbers[r]
-                # the pusher's velocity in the frame of the step, which is turned by a = h w
-                a = h * state.twist[i, 2]
-                ca = cos(a)
-                sa = sin(a)
-                numbers[TIP_VX] = ca * vx + sa * vy
-                numbers[TIP_VY] = -sa * vx + ca * vy
-                numbers[FRICTION] = bodies.finger_friction[i]
+
+@kernel(allocates=False)
+def _find_vertex_contacts(bodies, state, i, edges, motion, k, reach, h, found, ahead, contacts):
+    """Finds where the disc at vertex k of the pusher touches body i; returns its least gap, m."""
+    tool = motion.tool
+    core = tool.core
+    x, y, world_vx, world_vy = calc_place(motion, core.ax[k], core.ay[k])
+    c = state.turn[i, 0]
+    s = state.turn[i, 1]
+    dx = x - state.q[i, 0]
+    dy = y - state.q[i, 1]
+
+    # The disc's center and velocity in the body frame, and its motion seen from the body.
+    tx = c * dx + s * dy
+    ty = -s * dx + c * dy
+    vx = c * world_vx + s * world_vy
+    vy = -s * world_vx + c * world_vy
+    count = _look(edges, state, i, tx, ty, vx, vy, tool.radius, reach, h, found, ahead)
+    if count == 0:
+        return float("inf")
+    for row in range(count):
+        if tool.joined and _stands_back(state, i, motion, k, tx, ty, h, ahead, row):
+            continue
+        r = _take_row(contacts, ahead[row, GAP])
+        if r >= 0:
+            _write_row(contacts, r, i, FINGER_BODY, k, found, ahead, row)
+            numbers = contacts.numbers[r]
+            # the pusher's velocity in the frame of the step, which is turned by a = h w
+            a = h * state.twist[i, 2]
+            ca = cos(a)
+            sa = sin(a)
+            # where it touches, a radius from the disc's center: v + rate z x (r N)
+            spin = motion.rate * tool.radius
+            numbers[TIP_VX] = ca * vx + sa * vy - spin * ahead[row, NY]
+            numbers[TIP_VY] = -sa * vx + ca * vy + spin * ahead[row, NX]
+            numbers[FRICTION] = bodies.finger_friction[i]
+    return found[0, GAP]
+
+
+@kernel(allocates=False)
+def _stands_back(state, i, motion, k, tx, ty, h, ahead, row):
+    """Whether vertex k of a polygon leaves a contact with body i to its neighbors or a face."""
+    core = motion.tool.core
+    # the normal in the pusher's frame, both frames halfway through the step
+    turn = state.q[i, 2] + h * state.twist[i, 2] - motion.yaw - h * motion.rate
+    c = cos(turn)
+    s = sin(turn)
+    nx = ahead[row, NX]
+    ny = ahead[row, NY]
+    if not _is_deep(core, k, c * nx - s * ny, s * nx + c * ny):
+        return True
+    if ahead[row, BEND] == 0.0:
+        return False
+    # Two vertices meet: only where neither is beside an edge.
+    ox = ahead[row, CX] - tx
+    oy = ahead[row, CY] - ty
+    return _is_beside(core, k, c * ox - s * oy, s * ox + c * oy)
+
+
+@kernel(allocates=False)
+def find_face(core, lx, ly):
+    """Finds the edge of a convex core that is nearest to a point beside it.
+
+    Args:
+        core: `Edges` of the pusher.
+        lx, ly: the point, in the pusher's frame, m.
+
+    Returns:
+        The edge, -1 where the point is beside none; and its distance from it, m, negative inside.
+    """
+    edge = -1
+    best = -float("inf")
+    for e in range(core.ax.shape[0]):
+        ex = core.bx[e] - core.ax[e]
+        ey = core.by[e] - core.ay[e]
+        rx = lx - core.ax[e]
+        ry = ly - core.ay[e]
+        length = sqrt(ex * ex + ey * ey)
+        distance = (rx * ey - ry * ex) / length
+        if distance > best:
+            best = distance
+            along = rx * ex + ry * ey
+            edge = e if along > 0.0 and along < length * length else -1
+    return edge, best
+
+
+@kernel(allocates=False)
+def _find_face_contacts(bodies, state, i, edges, motion, reach, h, contacts):
+    """Finds where faces of the pusher touch convex vertices of body i; returns the least gap, m."""
+    tool = motion.tool
+    core = tool.core
+    least = float("inf")
+    limit = tool.reach + reach
+    for v in range(edges.ax.shape[0]):
+        px = edges.ax[v]
+        py = edges.ay[v]
+        lx, ly = _see_vertex(state, i, motion, px, py)
+        if lx * lx + ly * ly > limit * limit:
+            continue
+        e, distance = find_face(core, lx, ly)
+        gap = distance - tool.radius
+        if e < 0 or gap > reach or not _is_convex(edges, v):
+            continue
+        least = min(least, gap)
+        # the normal in the body's frame, both frames halfway through the step
+        ex = core.bx[e] - core.ax[e]
+        ey = core.by[e] - core.ay[e]
+        length = sqrt(ex * ex + ey * ey)
+        angle = state.q[i, 2] + h * state.twist[i, 2]
+        turn = motion.yaw + h * motion.rate - angle
+        ct = cos(turn)
+        st = sin(turn)
+        outward_x = ey / length
+        outward_y = -ex / length
+        nx = ct * outward_x - st * outward_y
+        ny = st * outward_x + ct * outward_y
+        if not _is_deep(edges, v, -nx, -ny):
+            continue
+        r = _take_row(contacts, gap)
+        if r < 0:
+            continue
+        ids = contacts.ids[r]
+        ids[FIRST_BODY] = i
+        ids[SECOND_BODY] = FINGER_BODY
+        ids[VERTEX] = name_touched_vertex(v)
+        ids[ROW_FEATURE] = e
+        numbers = contacts.numbers[r]
+        numbers[ROW_NX] = nx
+        numbers[ROW_NY] = ny
+        numbers[ROW_CX] = px
+        numbers[ROW_CY] = py
+        numbers[ROW_GAP] = gap
+        numbers[ROW_BEND] = 0.0
+        # the velocity of the pusher's point that is there now, in the frame of the step
+        _, _, vx, vy = calc_place(motion, lx, ly)
+        ca = cos(angle)
+        sa = sin(angle)
+        numbers[TIP_VX] = ca * vx + sa * vy
+        numbers[TIP_VY] = -sa * vx + ca * vy
+        numbers[FRICTION] = bodies.finger_friction[i]
+    return least
+
+
+@kernel(allocates=False)
+def _is_convex(edges, v):
+    """Whether the outline turns left at the vertex where edge v begins."""
+    before = edges.previous[v]
+    qx = edges.bx[before] - edges.ax[before]
+    qy = edges.by[before] - edges.ay[before]
+    ex = edges.bx[v] - edges.ax[v]
+    ey = edges.by[v] - edges.ay[v]
+    return qx * ey - qy * ex > 0.0
+
+
+@kernel(allocates=False)
+def measure_finger_gap(bodies, state, motion, found):
+    """The least gap of the pusher, m; infinite where it is further than its radius."""
+    least = float("inf")
+    tool = motion.tool
+    radius = tool.radius
+    if radius <= 0.0:
+        return least
+    for i in range(state.q.shape[0]):
+        edges = take_edges(bodies.outline, bodies.first_edge[i], bodies.first_edge[i + 1])
+        c = state.turn[i, 0]
+        s = state.turn[i, 1]
+        for k in range(tool.core.ax.shape[0]):
+            x, y, _, _ = calc_place(motion, tool.core.ax[k], tool.core.ay[k])
+            dx = x - state.q[i, 0]
+            dy = y - state.q[i, 1]
+            tx = c * dx + s * dy
+            ty = -s * dx + c * dy
+            if find_contacts(edges, tx, ty, radius, radius, found) > 0:
+                least = min(least, found[0, GAP])
+        if not tool.joined:
+            continue
+        for v in range(edges.ax.shape[0]):
+            lx, ly = _see_vertex(state, i, motion, edges.ax[v], edges.ay[v])
+            e, distance = find_face(tool.core, lx, ly)
+            if e >= 0 and distance <= 2.0 * radius:
+                least = min(least, distance - radius)
     return least
 
 

@@ -11,7 +11,8 @@ FINGER_BODY = -1
 FIRST_BODY, SECOND_BODY, VERTEX, ROW_FEATURE = range(4)
 """Places in a contact's identity: the body whose outline is touched; the one that touches it, or
 `FINGER_BODY`; the vertex of the second's core that does; and the edge of the first's outline or
-core."""
+core. Where a face of the pusher touches vertex v of the first's outline, the vertex is -1 - v (see
+`contacts.name_touched_vertex`) and the edge is the pusher's."""
 
 IDENTITY_SIZE = 4
 """Numbers in a contact's identity."""
@@ -86,28 +87,65 @@ class BodyArrays(NamedTuple):
     corner: Any
 
 
-class PusherPath(NamedTuple):
-    """The disc that pushes.
+class Tool(NamedTuple):
+    """The shape of the pusher, in its own frame: all points within a radius of its core.
 
     Attributes:
-        tip: (T+1, 2) its center, m.
-        path_length: of its whole path, m.
-        radius: m; negative where there is none.
+        radius: m; negative where there is no pusher.
+        core: `Edges` of a convex polygon, or edges without length, each of which is a disc's
+            center.
+        joined: whether the edges have faces, as those of a polygon do.
+        reach: farthest point from the frame's origin, m.
+    """
+
+    radius: float
+    core: Any
+    joined: bool
+    reach: float
+
+
+class PusherPath(NamedTuple):
+    """The motion of the pusher; W.
+
+    Attributes:
+        tip: (T+1, 2) the origin of its frame, m.
+        yaw: (T+1,) angle of its frame, rad.
+        path_length: of the origin's whole path, m.
+        tool: its shape.
+        variations: (D, T+1, 3) ways to vary the path, of x, y, m, and yaw, rad, by which poses are
+            differentiated beside the four of `step_derivative`.
     """
 
     tip: Any
+    yaw: Any
     path_length: float
-    radius: float
+    tool: Tool
+    variations: Any
 
 
-class Disc(NamedTuple):
-    """The pusher in one step: center, m, velocity, m/s, and radius, m; W."""
+class ToolMotion(NamedTuple):
+    """The pusher in one step; W.
+
+    Attributes:
+        x, y, yaw: where its frame is when the step begins, m and rad.
+        vx, vy: velocity of its origin, m/s.
+        rate: angular velocity, rad/s.
+        turn_c, turn_s: cosine and sine of the yaw.
+        turn_vc, turn_vs: mean change of both in the step, 1/s.
+        tool: its shape.
+    """
 
     x: float
     y: float
+    yaw: float
     vx: float
     vy: float
-    radius: float
+    rate: float
+    turn_c: float
+    turn_s: float
+    turn_vc: float
+    turn_vs: float
+    tool: Tool
 
 
 class Tolerances(NamedTuple):

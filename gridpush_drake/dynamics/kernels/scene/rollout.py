@@ -5,12 +5,11 @@ sees every body as it is expected to stand halfway through the step, were it to 
 each body turns about its own instantaneous center for the length of the step.
 """
 
-from math import cos, sin, sqrt
+from math import cos, sin
 
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.contact.contact import GAP, find_contacts
 from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE
 from gridpush_drake.dynamics.kernels.friction.laws import begin_push, begin_step
 from gridpush_drake.dynamics.kernels.integrate_pose import (
@@ -20,7 +19,11 @@ from gridpush_drake.dynamics.kernels.integrate_pose import (
 )
 from gridpush_drake.dynamics.kernels.scene.body_laws import take_law
 from gridpush_drake.dynamics.kernels.scene.contact_rows import SceneScales
-from gridpush_drake.dynamics.kernels.scene.contacts import find_scene_contacts, take_edges
+from gridpush_drake.dynamics.kernels.scene.contacts import (
+    find_fastest_vertex,
+    find_scene_contacts,
+    measure_finger_gap,
+)
 from gridpush_drake.dynamics.kernels.scene.records import (
     FIRST_BODY,
     IDENTITY_SIZE,
@@ -34,7 +37,7 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     SECOND_BODY,
     TIP_VX,
     TIP_VY,
-    Disc,
+    ToolMotion,
 )
 from gridpush_drake.dynamics.kernels.scene.step import (
     WAKING_OVERLAP,
@@ -99,38 +102,34 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
         for i in range(3):
             record.poses[0, b, i] = state.q[b, i]
     if differentiate:
-        start_columns(derivative.S, cells)
+        start_columns(derivative.S)
         _record_columns(J, row_of_step[0], derivative.S)
 
-    tip = pusher.tip
     for t in range(dts.shape[0]):
         dt = dts[t]
         h = tolerances.ahead * dt
-        disc = Disc(
-            x=tip[t, 0],
-            y=tip[t, 1],
-            vx=(tip[t + 1, 0] - tip[t, 0]) / dt,
-            vy=(tip[t + 1, 1] - tip[t, 1]) / dt,
-            radius=pusher.radius,
-        )
+        motion = _move_tool(pusher, t, t + 1, dt)
 
         # Who touches whom, and whom that sets in motion.
         record.finger_gaps[t] = find_scene_contacts(
-            bodies, state, disc, dt, h, found, ahead, contacts
+            bodies, state, motion, dt, h, found, ahead, contacts
         )
         awake = wake(contacts, work)
         closing = _calc_closing_speed(contacts, dt)
-        tip_speed = sqrt(disc.vx * disc.vx + disc.vy * disc.vy)
+        tip_speed, _ = find_fastest_vertex(motion)
         speed = tip_speed + closing + _TINY_SPEED
         scales = SceneScales(
-            load=load, speed=speed, tip_speed=tip_speed if tip_speed > 0.0 else speed
+            load=load,
+            speed=speed,
+            tip_speed=tip_speed if tip_speed > 0.0 else speed,
+            disc=pusher.tool.core.ax.shape[0] == 1,
         )
         eps = tolerances.relative_stiction * speed
         status = STEP_CONVERGED
         iterations = 0
         moving = awake > 0 and closing > 0.0
         if moving:
-            _guess_twists(state, contacts, disc, h, xi, work)
+            _guess_twists(state, contacts, xi, work)
             _begin_friction(bodies, state, h, work.awake, expected, no_force)
             status, iterations = solve_scene_step(
                 bodies, contacts, awake, dt, scales, eps, xi, work
@@ -139,7 +138,7 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
                 fill_step_derivative(
                     bodies,
                     state,
-                    disc,
+                    motion,
                     contacts,
                     h,
                     dt,
@@ -167,10 +166,9 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
             step_columns(
                 bodies,
                 state,
-                disc,
-                disc.x - tip[0, 0],
-                disc.y - tip[0, 1],
-                pusher.path_length,
+                pusher,
+                motion,
+                t,
                 eps,
                 xi,
                 dt,
@@ -185,8 +183,30 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
                 record.twists[t, b, i] = xi[b, i]
         if differentiate:
             _record_columns(J, row_of_step[t + 1], derivative.S)
-    record.finger_gaps[dts.shape[0]] = _measure_gap(
-        bodies, state, tip[dts.shape[0], 0], tip[dts.shape[0], 1], pusher.radius, found
+    last = dts.shape[0]
+    at_end = _move_tool(pusher, last, last, 1.0)
+    record.finger_gaps[last] = measure_finger_gap(bodies, state, at_end, found)
+
+
+@kernel()
+def _move_tool(pusher, t, after, dt):
+    """The pusher's motion from sample t to the sample `after`, in a step dt."""
+    tip = pusher.tip
+    yaw = pusher.yaw
+    c = cos(yaw[t])
+    s = sin(yaw[t])
+    return ToolMotion(
+        x=tip[t, 0],
+        y=tip[t, 1],
+        yaw=yaw[t],
+        vx=(tip[after, 0] - tip[t, 0]) / dt,
+        vy=(tip[after, 1] - tip[t, 1]) / dt,
+        rate=(yaw[after] - yaw[t]) / dt,
+        turn_c=c,
+        turn_s=s,
+        turn_vc=(cos(yaw[after]) - c) / dt,
+        turn_vs=(sin(yaw[after]) - s) / dt,
+        tool=pusher.tool,
     )
 
 
@@ -215,7 +235,7 @@ def _calc_closing_speed(contacts, dt):
 
 
 @kernel(allocates=False)
-def _guess_twists(state, contacts, disc, h, xi, work):
+def _guess_twists(state, contacts, xi, work):
     """Guesses the twists: extrapolated, as they were, or as what wakes a body takes it along."""
     for b in range(xi.shape[0]):
         for i in range(3):
@@ -361,20 +381,3 @@ def _record_columns(J, row, S):
         for i in range(3):
             for column in range(J.shape[3]):
                 J[row, b, i, column] = S[3 * b + i, column]
-
-
-@kernel(allocates=False)
-def _measure_gap(bodies, state, x, y, radius, found):
-    """The least gap of the pusher at (x, y), m; infinite where it is further than its radius."""
-    least = np.inf
-    if radius <= 0.0:
-        return least
-    for b in range(state.q.shape[0]):
-        edges = take_edges(bodies.outline, bodies.first_edge[b], bodies.first_edge[b + 1])
-        dx = x - state.q[b, 0]
-        dy = y - state.q[b, 1]
-        c = state.turn[b, 0]
-        s = state.turn[b, 1]
-        if find_contacts(edges, c * dx + s * dy, -s * dx + c * dy, radius, radius, found) > 0:
-            least = min(least, found[0, GAP])
-    return least

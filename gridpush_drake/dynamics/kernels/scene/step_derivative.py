@@ -9,14 +9,14 @@ whose right-hand sides are those of `contact_terms`. The columns of the whole pu
 parameter, are then carried over the step: s = (dx, dtheta) in W and the twist's variation, body by
 body.
 
-Inputs of a step, in this order: poses (W) and twists (body frame) of the N bodies, place and
-velocity of the pusher, N frictions with the pusher, and those of the P pairs (i, j), i < j.
+Inputs of a step, in this order: poses (W) and twists (body frame) of the N bodies, place,
+velocity, yaw and angular velocity of the pusher, N frictions with the pusher, and those of the P
+pairs (i, j), i < j.
 
 Columns of the push: k of all M cells | N frictions with the pusher | P of pairs | start x, start y,
-direction, length | first poses.
+direction, length | the variations of the path that `PusherPath` names | first poses.
 """
 
-from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,12 +40,18 @@ from gridpush_drake.dynamics.kernels.scene.contact_terms import (
     POSE_INPUT,
     SLIP_OUTPUT,
     TIP_INPUT,
+    TIP_RATE,
     TIP_VELOCITY,
+    TIP_YAW,
     TWIST_INPUT,
     WRENCH_OUTPUT,
     calc_contact_terms,
 )
-from gridpush_drake.dynamics.kernels.scene.contacts import OVERLAP_RECOVERY
+from gridpush_drake.dynamics.kernels.scene.contacts import (
+    OVERLAP_RECOVERY,
+    calc_place,
+    find_fastest_vertex,
+)
 from gridpush_drake.dynamics.kernels.scene.records import (
     FIRST_BODY,
     OTHER_CX,
@@ -68,6 +74,9 @@ _BOUNDED = 1e-9
 
 PUSH_COLUMNS = 4
 """Columns of the push: start x, start y, direction, length."""
+
+TIP_COUNT = INPUT_COUNT - TIP_INPUT
+"""Inputs of a step that say where the pusher is and how it moves."""
 
 
 class Derivative(NamedTuple):
@@ -116,7 +125,7 @@ def make_derivative(n, cells, room, width):
 @kernel(allocates=False)
 def count_inputs(n):
     """Counts the inputs of a step of n bodies."""
-    return 6 * n + 4 + n + (n * (n - 1)) // 2
+    return 6 * n + TIP_COUNT + n + (n * (n - 1)) // 2
 
 
 @kernel(allocates=False)
@@ -128,11 +137,13 @@ def find_pair(i, j, n):
 
 
 @kernel(allocates=False)
-def fill_step_derivative(bodies, state, disc, contacts, h, dt, scales, xi, awake, work, derivative):
+def fill_step_derivative(
+    bodies, state, motion, contacts, h, dt, scales, xi, awake, work, derivative
+):
     """Fills in dxi by every input of a step; zeros where the step has no derivative.
 
     Args:
-        bodies, state, disc: as the step saw them.
+        bodies, state, motion: as the step saw them.
         contacts: `Contacts` with the solution.
         h, dt: the time after which the step looks at the bodies, and the step, s.
         scales: `SceneScales`.
@@ -163,7 +174,7 @@ def fill_step_derivative(bodies, state, disc, contacts, h, dt, scales, xi, awake
     for r in range(contacts.counts[0]):
         if contacts.modes[r] != SEPARATE:
             row = work.place[r]
-            _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, derivative)
+            _add_contact(bodies, state, motion, contacts, r, row, h, dt, scales, xi, derivative)
 
     # First the response without contacts, S^-1 F, then that of the contact forces.
     for b in range(n):
@@ -205,7 +216,7 @@ def fill_step_derivative(bodies, state, disc, contacts, h, dt, scales, xi, awake
 
 
 @kernel(allocates=False)
-def _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, derivative):
+def _add_contact(bodies, state, motion, contacts, r, row, h, dt, scales, xi, derivative):
     """Adds the derivatives of a contact's wrenches to F, and of its velocities to rows of V."""
     n = xi.shape[0]
     ids = contacts.ids[r]
@@ -221,10 +232,12 @@ def _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, deriv
         if j >= 0:
             z[OTHER_POSE + a] = state.q[j, a]
             z[OTHER_TWIST + a] = state.twist[j, a]
-    z[TIP_INPUT] = disc.x
-    z[TIP_INPUT + 1] = disc.y
-    z[TIP_VELOCITY] = disc.vx
-    z[TIP_VELOCITY + 1] = disc.vy
+    z[TIP_INPUT] = motion.x
+    z[TIP_INPUT + 1] = motion.y
+    z[TIP_VELOCITY] = motion.vx
+    z[TIP_VELOCITY + 1] = motion.vy
+    z[TIP_YAW] = motion.yaw
+    z[TIP_RATE] = motion.rate
     for k in range(INPUT_COUNT):
         # which of the step's inputs the contact's is
         if k < OTHER_POSE:
@@ -245,7 +258,7 @@ def _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, deriv
             bodies,
             ids,
             contacts.numbers[r],
-            disc.radius,
+            motion.tool,
             h,
             dt,
             xi,
@@ -260,8 +273,8 @@ def _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, deriv
         V[row, column] += out[APPROACH_OUTPUT].imag / _DELTA
         if mode == STICK:
             V[row + 1, column] += out[SLIP_OUTPUT].imag / _DELTA
-    if j >= 0:
-        _add_pusher_speed(disc, contacts.numbers[r], contacts.lam[r], n, row, mode, dt, scales, V)
+    if j >= 0 or not scales.disc:
+        _add_pusher_speed(motion, contacts, r, n, row, dt, scales, V)
     if mode != STICK:
         # Sliding: lam_t = ± mu lam_n, so the friction coefficient acts on the wrenches.
         slide = contacts.lam[r, 0] if mode == SLIDE_PLUS else -contacts.lam[r, 0]
@@ -269,32 +282,54 @@ def _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, deriv
 
 
 @kernel(allocates=False)
-def _add_pusher_speed(disc, numbers, lam, n, row, mode, dt, scales, V):
-    """Adds to rows of V what the pusher's speed does to the contact of two bodies.
+def _add_pusher_speed(motion, contacts, r, n, row, dt, scales, V):
+    """Adds to rows of V what the pusher's speed does to a contact that gives way by it.
 
-    Their compliance goes with it, and so does the overlap that is undone in a step.
+    The compliance goes with it, and of two bodies the overlap that is undone in a step.
     """
-    speed2 = disc.vx * disc.vx + disc.vy * disc.vy
-    if speed2 == 0.0:
+    speed, vertex = find_fastest_vertex(motion)
+    if speed == 0.0:
         return
-    speed = sqrt(speed2)
+    lam = contacts.lam[r]
     softness = PAIR_COMPLIANCE / scales.load
     normal = softness * lam[0]
-    if numbers[ROW_GAP] <= -(1.0 - _BOUNDED) * OVERLAP_RECOVERY * speed * dt:
+    tangential = softness * lam[1]
+    bound = -(1.0 - _BOUNDED) * OVERLAP_RECOVERY * speed * dt
+    if contacts.ids[r, SECOND_BODY] >= 0 and contacts.numbers[r, ROW_GAP] <= bound:
         normal -= OVERLAP_RECOVERY
-    at_velocity = 6 * n + 2
-    V[row, at_velocity] += normal * disc.vx / speed
-    V[row, at_velocity + 1] += normal * disc.vy / speed
-    if mode == STICK:
-        tangential = softness * lam[1]
-        V[row + 1, at_velocity] += tangential * disc.vx / speed
-        V[row + 1, at_velocity + 1] += tangential * disc.vy / speed
+    # The speed's derivatives by velocity, yaw and angular velocity.
+    px = motion.tool.core.ax[vertex]
+    py = motion.tool.core.ay[vertex]
+    _, _, vx, vy = calc_place(motion, px, py)
+    vx /= speed
+    vy /= speed
+    vc = motion.turn_vc
+    vs = motion.turn_vs
+    next_c = motion.turn_c + vc * dt
+    next_s = motion.turn_s + vs * dt
+    # of the vertex's arm: its mean change, and itself when the step ends
+    change_x = vc * px - vs * py
+    change_y = vs * px + vc * py
+    arm_x = next_c * px - next_s * py
+    arm_y = next_s * px + next_c * py
+    by_yaw = vy * change_x - vx * change_y
+    by_rate = vy * arm_x - vx * arm_y
+    columns = 6 * n - TIP_INPUT
+    for k, factor in (
+        (TIP_VELOCITY, vx),
+        (TIP_VELOCITY + 1, vy),
+        (TIP_YAW, by_yaw),
+        (TIP_RATE, by_rate),
+    ):
+        V[row, columns + k] += normal * factor
+        if contacts.modes[r] == STICK:
+            V[row + 1, columns + k] += tangential * factor
 
 
 @kernel(allocates=False)
 def _add_friction(numbers, i, j, n, slide, F):
     """Adds a sliding contact's derivative by its friction coefficient to F."""
-    column = 6 * n + 4 + (i if j < 0 else n + find_pair(i, j, n))
+    column = 6 * n + TIP_COUNT + (i if j < 0 else n + find_pair(i, j, n))
     fx = -slide * numbers[ROW_NY]
     fy = slide * numbers[ROW_NX]
     F[3 * i, column] += fx
@@ -309,29 +344,28 @@ def _add_friction(numbers, i, j, n, slide, F):
 
 
 @kernel(allocates=False)
-def start_columns(S, cells):
+def start_columns(S):
     """Fills in the variations at the beginning: every pose varies by itself.
 
     Args:
         S: (6N, width) zeros.
-        cells: number of cells of all bodies.
     """
     n = S.shape[0] // 6
-    first = cells + n + (n * (n - 1)) // 2 + PUSH_COLUMNS
+    first = S.shape[1] - 3 * n
     for row in range(3 * n):
         S[row, first + row] = 1.0
 
 
 @kernel(allocates=False)
-def step_columns(bodies, state, disc, ray_x, ray_y, path_length, eps, xi, dt, shift, derivative):
+def step_columns(bodies, state, pusher, motion, t, eps, xi, dt, shift, derivative):
     """Carries every column over one step.
 
     Args:
         bodies: `BodyArrays`.
         state: `SceneState` at the step's beginning.
-        disc: `Disc` of the step.
-        ray_x, ray_y: how far the disc is from where the push began, m.
-        path_length: of the whole push, m.
+        pusher: `PusherPath`.
+        motion: `ToolMotion` of the step.
+        t: number of the step.
         eps: stiction tolerance, m/s.
         xi: (N, 3) twists of the step.
         dt: the step, s.
@@ -379,10 +413,12 @@ def step_columns(bodies, state, disc, ray_x, ray_y, path_length, eps, xi, dt, sh
 
     # The frictions of the contacts, and the pusher's path.
     tip = 6 * n
+    ray_x = motion.x - pusher.tip[0, 0]
+    ray_y = motion.y - pusher.tip[0, 1]
     for row in range(3 * n):
         out = dxi[row]
         for k in range(frictions):
-            out[cells + k] += F[row, tip + 4 + k]
+            out[cells + k] += F[row, tip + TIP_COUNT + k]
         at_push = cells + frictions
         fx = F[row, tip]
         fy = F[row, tip + 1]
@@ -390,11 +426,23 @@ def step_columns(bodies, state, disc, ray_x, ray_y, path_length, eps, xi, dt, sh
         fvy = F[row, tip + 3]
         out[at_push] += fx
         out[at_push + 1] += fy
-        out[at_push + 2] += -ray_y * fx + ray_x * fy - disc.vy * fvx + disc.vx * fvy
-        if path_length > 0.0:
+        # to turn the path about its start turns the pusher with it
+        out[at_push + 2] += -ray_y * fx + ray_x * fy - motion.vy * fvx + motion.vx * fvy
+        out[at_push + 2] += F[row, tip + TIP_YAW - TIP_INPUT]
+        if pusher.path_length > 0.0:
             # a longer path in the same time stretches places and velocities alike
-            stretch = ray_x * fx + ray_y * fy + disc.vx * fvx + disc.vy * fvy
-            out[at_push + 3] += stretch / path_length
+            stretch = ray_x * fx + ray_y * fy + motion.vx * fvx + motion.vy * fvy
+            out[at_push + 3] += stretch / pusher.path_length
+        for d in range(pusher.variations.shape[0]):
+            now = pusher.variations[d, t]
+            after = pusher.variations[d, t + 1]
+            change = now[0] * fx + now[1] * fy
+            change += now[2] * F[row, tip + TIP_YAW - TIP_INPUT]
+            # and how the velocities vary with it
+            change += (after[0] - now[0]) / dt * fvx
+            change += (after[1] - now[1]) / dt * fvy
+            change += (after[2] - now[2]) / dt * F[row, tip + TIP_RATE - TIP_INPUT]
+            out[at_push + PUSH_COLUMNS + d] += change
 
     # x' = x + R d and theta' = theta + w dt; the twist's variation is dxi itself.
     for b in range(n):
