@@ -21,8 +21,8 @@ from gridpush_drake.gym.known_shape import FINGER_OPTIONS, KnownShape, load_shap
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import GraspPart
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.planning.world import WorldMotion
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -141,7 +141,7 @@ class EpisodeState:
     fallen: bool = False
     goal: Array | None = None
     parts: tuple[GraspPart, ...] = ()
-    model: UncertainModel | None = None
+    model: Belief | None = None
     held_out: PushLog = field(default_factory=lambda: PushLog(()))
     motion: WorldMotion | None = None
 

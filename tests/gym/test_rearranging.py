@@ -11,7 +11,7 @@ import gridpush_drake.gym  # noqa: F401
 from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.gym.rearranging import PICTURE_SIZE, RearrangeEnvironment
-from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.scene.rearrangement import RearrangeOptions, RearrangePlanner
 from gridpush_drake.planning.scene.search import SceneSearchOptions
 
@@ -46,7 +46,7 @@ def test_our_planner_wins_by_the_games_actions():
         candidates=24, firsts=3, seconds=8, lengths=(0.008, 0.14), pusher=Pusher(0.01, 0.05)
     )
     planner = RearrangePlanner(objects, environment.goals, RearrangeOptions(search=search))
-    belief = SceneBelief.of_prior(objects, draws=2)
+    belief = Belief.of_even_objects(objects, sample_count=2)
     total, ended, steps = 0.0, False, []
     first = environment.render()
     while not ended:

@@ -17,10 +17,10 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.goals import GoalOptions, find_pregrasp_goals
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import GraspPart
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.table import Column, Proportion, Table
 from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
