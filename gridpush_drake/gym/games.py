@@ -150,7 +150,7 @@ class PushToGoal(PushGame):
         assert episode.goal is not None
         return float(calc_goal_error(episode.shape.obj, episode.true_pose, episode.goal))
 
-    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn[EpisodeState]:
         """Rewards by how much nearer the goal is."""
         error = self.measure(after)
         won = error < self.reached and not after.fallen
@@ -313,7 +313,7 @@ class SlideToEdge(PushGame):
         """Calculates how far the part that is farthest out hangs over the edge, m."""
         return float(calc_overhangs(episode.parts, episode.true_pose, self.surface).max())
 
-    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn[EpisodeState]:
         """Rewards by how much farther out a part is."""
         overhang = self.measure(after)
         won = overhang >= 0 and not after.fallen
@@ -373,7 +373,7 @@ class Explore(PushGame):
         assert episode.model is not None
         return _calc_held_out_error(episode.model, episode.held_out)
 
-    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn[EpisodeState]:
         """Rewards by how much better the learner predicts."""
         assert before.model is not None
         model = learn(before.model, after.pushes[-1])
@@ -440,9 +440,3 @@ def _calc_held_out_error(model: Belief, held_out: PushLog) -> float:
 def _make_prior(shape: KnownShape) -> Belief:
     """Makes what is held possible before any push."""
     return Belief.of_prior(shape.obj)
-
-
-GAME_CLASSES: dict[str, type[PushGame]] = {
-    game.__name__: game for game in (PushToGoal, SlideToEdge, Explore, PushTHidden)
-}
-"""The games by their environments' names."""
