@@ -559,13 +559,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
     ) -> PreGraspState:
         """The state with a grasp asked for; failed, where there is none."""
         goal = decision.goal
-        masses = uncertain.masses
-        at_worst = goal is not None and isinstance(goal.part, FlatPart)
-        # As near the center of mass as the gripper gets; else at the part that the plan found,
-        # which is farther off, but within reach.
-        grasp = self._find_grasp(pose, masses.middle, masses, at_worst)
-        if grasp is None and goal is not None:
-            grasp = self._find_grasp(pose, goal.part.p_BG, masses, at_worst)
+        grasp = choose_grasp(self._find_grasp, pose, uncertain.masses, goal)
         if grasp is None:
             why = (
                 "The gripper reaches no part that hangs over and by which its pads hold the object."
@@ -604,6 +598,27 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         what = f"The grasp was {gripper.outcome}: {gripper.reason}."
         give_up = now.status.grasps >= self.options.max_grasps
         return now.turn_to(FAILED_MODE if give_up else WAITING_MODE, what, goal=None)
+
+
+def choose_grasp(
+    find: FindGrasp, pose: Array, masses: PlausibleMassSet, goal: PreGraspGoal | None
+) -> SideGrasp | None:
+    """Chooses a grasp of an object that hangs over the edge; None where there is none.
+
+    It is as near the center of mass as the gripper gets; else at the part that the plan found,
+    which is farther off, but within reach.
+
+    Args:
+        find: finds a grasp near a point of the object.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        masses: that it may have.
+        goal: what the plan found; None where there is no plan.
+    """
+    at_worst = goal is not None and isinstance(goal.part, FlatPart)
+    grasp = find(pose, masses.middle, masses, at_worst)
+    if grasp is None and goal is not None:
+        grasp = find(pose, goal.part.p_BG, masses, at_worst)
+    return grasp
 
 
 def _calc_inflation(now: PreGraspState) -> float:

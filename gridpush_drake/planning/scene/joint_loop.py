@@ -179,6 +179,11 @@ class JointLoop(ClosedLoop[JointState]):
             return self._follow_grasp(now, seen), False
         return super().observe(now, seen)
 
+    def is_outdated(self, now: JointState, seen: Observation) -> bool:
+        """Whether a decision is of no use any more; angles may have jumped by a whole turn."""
+        before = [np.asarray(each) for each in now.filter.poses]
+        return super().is_outdated(now, replace(seen, pose=straighten(seen.pose, before)))
+
     def is_idle(self, now: JointState) -> bool:
         """Whether the task has ended."""
         return now.status.over

@@ -24,8 +24,8 @@ from gridpush_drake.perception.images.camera_view import SceneCameraView
 from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.closed_loop import LoopOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits
-from gridpush_drake.planning.pregrasp.grasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp
+from gridpush_drake.planning.pregrasp.pregrasp_loop import choose_grasp
 from gridpush_drake.planning.scene.fetching import FetchLearning, FetchOptions, FetchPlanner
 from gridpush_drake.planning.scene.joint_loop import (
     FindSceneGrasp,
@@ -207,7 +207,10 @@ class SceneTask(StationTask[SceneTaskRecord]):
         controller: SceneController = builder.AddNamedSystem(
             "controller",
             SceneController(
-                loop, grasp_height=scenario.object_height / 2, lift=scenario.pregrasp.lift
+                loop,
+                grasp_height=scenario.object_height / 2,
+                lift=scenario.pregrasp.lift,
+                answer_delay=scenario.simulation.answer_delay,
             ),
         )
         # where all objects are
@@ -467,13 +470,7 @@ class FetchTask(SceneTask):
 
         def find(poses: Array, decision: SceneDecision, belief: Belief) -> SideGrasp | None:
             model = belief.alone.get(0) or Belief.of_prior(self.objects[0])
-            goal = decision.goal
-            at_worst = goal is not None and isinstance(goal.part, FlatPart)
-            masses = model.masses
-            grasp = finder.find_grasp(poses[0], masses.middle, masses, at_worst)
-            if grasp is None and goal is not None:
-                grasp = finder.find_grasp(poses[0], goal.part.p_BG, masses, at_worst)
-            return grasp
+            return choose_grasp(finder.find_grasp, poses[0], model.masses, decision.goal)
 
         return find
 
