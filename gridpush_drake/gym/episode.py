@@ -26,7 +26,7 @@ from gridpush_drake.gym.rendering import (
     PUSH_COLOR,
     TABLE_COLOR,
     VIEW_HALF_SIDE,
-    Canvas,
+    TablePicture,
     color_cells,
 )
 from gridpush_drake.identification.model import Model
@@ -423,20 +423,20 @@ class PushGame(Game[EpisodeState]):
         half = min(np.abs(corners).max() + FLOOR_WIDTH, VIEW_HALF_SIDE)
         # A table larger than the view is seen about the object.
         middle = np.zeros(2) if half < VIEW_HALF_SIDE else episode.true_pose[:2]
-        canvas = Canvas(size, middle, half)
-        canvas.fill(corners, TABLE_COLOR)
+        picture = TablePicture(size, middle, half)
+        picture.fill(corners, TABLE_COLOR)
         square = obj.cell_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         colors = color_cells(episode.hidden.mass, show_hidden)
         for p_BC, color in zip(obj.p_BC, colors, strict=True):
-            canvas.fill(transform(episode.true_pose, p_BC + square), color)
+            picture.fill(transform(episode.true_pose, p_BC + square), color)
         if episode.goal is not None:
             outline = np.array(obj.outline.exterior.coords)
-            canvas.draw_line(transform(episode.goal, outline), GOAL_COLOR)
+            picture.draw_line(transform(episode.goal, outline), GOAL_COLOR)
         if episode.pushes:
             push = episode.pushes[-1].push
-            canvas.draw_line(push.xy, PUSH_COLOR)
-            canvas.fill_disc(push.xy[-1], push.radius, PUSH_COLOR)
-        return canvas.finish()
+            picture.draw_line(push.xy, PUSH_COLOR)
+            picture.fill_disc(push.xy[-1], push.radius, PUSH_COLOR)
+        return picture.finish()
 
 
 def flatten_pose(pose: Array) -> Array:

@@ -33,7 +33,7 @@ from gridpush_drake.gym.rendering import (
     OBJECT_COLOR,
     PUSH_COLOR,
     TABLE_COLOR,
-    Canvas,
+    TablePicture,
 )
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
@@ -238,6 +238,7 @@ class Follow(Game[FollowEpisode]):
         for _ in range(frame_count):
             came = finger.move(velocity)
             episode.came.extend(came)
+        # poses come late, and some never
         if episode.came:
             episode.seen = episode.came[-1]
         # what it was worth, by where the object truly is
@@ -318,15 +319,15 @@ class Follow(Game[FollowEpisode]):
         """Draws path, object, and finger; nothing that is hidden is shown."""
         obj = episode.shape.obj
         middle = episode.way.at(episode.way.length / 2)[:2]
-        canvas = Canvas(size, middle, VIEW_HALF_SIDE, TABLE_COLOR)
+        picture = TablePicture(size, middle, VIEW_HALF_SIDE, TABLE_COLOR)
         outline = np.array(obj.outline.exterior.coords)[:, :2]
-        canvas.fill(transform(episode.finger.pose, outline), OBJECT_COLOR)
+        picture.fill(transform(episode.finger.pose, outline), OBJECT_COLOR)
         line = episode.way.at(np.linspace(0.0, episode.way.length, PATH_POINTS))[:, :2]
-        canvas.draw_line(line, GOAL_COLOR, LINE_WIDTH)
-        canvas.draw_line(transform(episode.path.goal, outline), GOAL_COLOR, LINE_WIDTH)
+        picture.draw_line(line, GOAL_COLOR, LINE_WIDTH)
+        picture.draw_line(transform(episode.path.goal, outline), GOAL_COLOR, LINE_WIDTH)
         finger = shapely.Point(episode.finger.tip).buffer(STEERED_FINGER.radius)
-        canvas.fill(shapely.get_coordinates(finger), PUSH_COLOR)
-        return canvas.finish()
+        picture.fill(shapely.get_coordinates(finger), PUSH_COLOR)
+        return picture.finish()
 
 
 def find_side(obj: GridObject) -> float:

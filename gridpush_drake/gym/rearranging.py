@@ -22,7 +22,7 @@ from gridpush_drake.gym.rendering import (
     GOAL_COLOR,
     PUSH_COLOR,
     TABLE_COLOR,
-    Canvas,
+    TablePicture,
 )
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -197,6 +197,7 @@ class Rearrange(Game[RearrangeEpisode]):
         drawn = rng.permutation(len(self._shapes))[: self.options.count]
         shapes = tuple(self._shapes[int(i)] for i in drawn)
         objects = [shape.obj for shape in shapes]
+        # Where they lie and should lie, drawn one after another, and then what is hidden.
         start = scatter(objects, rng, START_GAP, TABLE_SIDE / 4)
         goals = scatter(objects, rng, GOAL_GAP, TABLE_SIDE / 4)
         world = SimulatedWorld(
@@ -221,11 +222,13 @@ class Rearrange(Game[RearrangeEpisode]):
         world = before.world
         clipped = np.clip(check_vector(PlanningError, "action", action, 4), -1.0, 1.0)
         push = before.make_push(clipped)
+        # Where the finger fits nowhere beside the object, the push is lost.
         if before.fits(push):
             world.execute(push)
         else:
             world.pushes += 1
         after = replace(before, last_action=clipped, last_push=push)
+        # What has fallen is not seen any more, and the player keeps what was seen before.
         if not after.fallen:
             after = replace(after, seen=_look(world))
         after = after.measure()
@@ -262,18 +265,19 @@ class Rearrange(Game[RearrangeEpisode]):
 
     def draw(self, episode: RearrangeEpisode, size: int, show_hidden: bool) -> NDArray[np.uint8]:
         """Draws objects, goals and the last push; nothing that is hidden is shown."""
-        canvas = Canvas(size, np.zeros(2), TABLE_SIDE / 2 + FLOOR_WIDTH)
-        canvas.fill(self.surface.corners, TABLE_COLOR)
+        picture = TablePicture(size, np.zeros(2), TABLE_SIDE / 2 + FLOOR_WIDTH)
+        picture.fill(self.surface.corners, TABLE_COLOR)
         for b, outline in enumerate(place_outlines(episode.objects, episode.world.truth.pose)):
             corners = shapely.get_coordinates(outline.exterior)
-            canvas.fill(corners, OBJECT_COLORS[b % len(OBJECT_COLORS)])
+            picture.fill(corners, OBJECT_COLORS[b % len(OBJECT_COLORS)])
+        # The outline of a goal is green, with a line of its object's color on it.
         for b, outline in enumerate(place_outlines(episode.objects, episode.goals)):
             corners = shapely.get_coordinates(outline.exterior)
-            canvas.draw_line(corners, GOAL_COLOR, times=2)
-            canvas.draw_line(corners, OBJECT_COLORS[b % len(OBJECT_COLORS)])
+            picture.draw_line(corners, GOAL_COLOR, times=2)
+            picture.draw_line(corners, OBJECT_COLORS[b % len(OBJECT_COLORS)])
         if episode.last_push is not None:
-            canvas.draw_line(episode.last_push.xy, PUSH_COLOR)
-        return canvas.finish()
+            picture.draw_line(episode.last_push.xy, PUSH_COLOR)
+        return picture.finish()
 
 
 def _look(world: SimulatedWorld) -> Array:

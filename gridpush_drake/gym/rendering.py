@@ -1,4 +1,4 @@
-"""`Canvas`: pictures of episodes, from straight above."""
+"""`TablePicture`: pictures of episodes, from straight above."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ HEAVY_COLOR = np.array([120, 20, 60])
 """Color of the heaviest cell (3,), RGB from 0 to 255."""
 
 
-class Canvas:
+class TablePicture:
     """A picture of a part of the table, seen from straight above; x to the right and y up."""
 
     def __init__(

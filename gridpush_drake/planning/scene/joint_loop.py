@@ -9,6 +9,9 @@ It is a `ClosedLoop` whose poses are those of N objects. A planner decides (`loo
 the mean of several looks at all objects at rest. What was seen before and after each push is
 learned from. A LeafSystem steps the loop with what is on its ports, `loop_run.run_loop` in a world;
 the state holds the push, or the grasp, that is asked for.
+
+A loop of one object is shown what was learned. This one learns by itself: which pushes tell of
+which object, and when it is worth its time to learn all of them together, is a matter of the task.
 """
 
 from collections.abc import Callable
