@@ -11,6 +11,7 @@ from .base.messages import PushStatus as PushStatus
 from .base.messages import SteerCommand as SteerCommand
 from .base.messages import SteerStatus as SteerStatus
 from .base.object_controller import AbstractStateSystem as AbstractStateSystem
+from .base.object_controller import LoopController as LoopController
 from .base.object_controller import ObjectController as ObjectController
 from .base.worker import Worker as Worker
 from .control.contact_point_controller import ContactPointController as ContactPointController

@@ -174,13 +174,13 @@ QUATERNION_TOLERANCE = 0.01
 def check_vector(
     kind: type[GridPushError], name: str, value: ArrayLike, size: int, unit: str = ""
 ) -> Array:
-    """Checks a vector of two or three numbers that a user gave.
+    """Checks a vector of two to four numbers that a user gave.
 
     Args:
         kind: the error to raise.
         name: what the user calls the vector.
         value: what was given.
-        size: 2 or 3.
+        size: 2, 3 or 4.
         unit: the unit of the numbers, or both units, for the message; none by default.
 
     Returns:
@@ -196,7 +196,7 @@ def check_vector(
         vector = np.empty(0)  # refused below, for its shape
     # Written so that a NaN is refused, too.
     if vector.shape != (size,) or not (np.abs(vector) <= MAX_NUMBER).all():
-        count = {2: "two", 3: "three"}[size]
+        count = {2: "two", 3: "three", 4: "four"}[size]
         form = f"{count} finite numbers, at most {MAX_NUMBER:g}{unit and f' ({unit})'}"
         raise kind(f"{name} is {value!r}; expected {form}")
     return vector

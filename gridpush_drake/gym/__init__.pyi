@@ -2,11 +2,14 @@ from .environments import PushEnvironment as PushEnvironment
 from .environments import PushVectorEnvironment as PushVectorEnvironment
 from .episode import EpisodeState as EpisodeState
 from .episode import GameOptions as GameOptions
-from .following import FollowEnvironment as FollowEnvironment
+from .following import Follow as Follow
+from .following import FollowEpisode as FollowEpisode
 from .following import FollowGameOptions as FollowGameOptions
 from .games import Explore as Explore
 from .games import PushTHidden as PushTHidden
 from .games import PushToGoal as PushToGoal
 from .games import SlideToEdge as SlideToEdge
-from .rearranging import RearrangeEnvironment as RearrangeEnvironment
+from .rearranging import Rearrange as Rearrange
+from .rearranging import RearrangeEpisode as RearrangeEpisode
+from .rearranging import RearrangeGameOptions as RearrangeGameOptions
 from .world import EnvironmentWorld as EnvironmentWorld

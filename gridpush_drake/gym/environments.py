@@ -7,6 +7,7 @@ does, bit for bit.
 """
 
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any, cast
 
 import gymnasium
@@ -18,9 +19,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.gym.episode import EpisodeState, GameOptions, PushGame
-from gridpush_drake.gym.games import GAME_CLASSES
-from gridpush_drake.gym.rendering import draw_scene
+from gridpush_drake.gym.episode import PUSH_PICTURES, Game
 
 CAMERA_SIZE = 96
 """Side of what the camera sees, pixels."""
@@ -28,17 +27,16 @@ CAMERA_SIZE = 96
 PICTURE_SIZE = 480
 """Side of what `render` gives, pixels."""
 
-PUSHES_PER_SECOND = 2
-"""Number of pushes a second in a film of pictures."""
-
-FOLLOW_ID = "gridpush/Follow-v0"
-"""Name of the environment in which a finger is steered, `gym.following`."""
-
-RENDER_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": PUSHES_PER_SECOND}
+RENDER_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": PUSH_PICTURES}
 """What the environments tell Gymnasium of their pictures."""
 
-REARRANGE_ID = "gridpush/Rearrange-v0"
-"""Name of the environment with several objects, `gym.rearranging.RearrangeEnvironment`."""
+GAME_MODULES = {
+    **dict.fromkeys(("PushToGoal", "SlideToEdge", "Explore", "PushTHidden"), "games"),
+    "Rearrange": "rearranging",
+    "Follow": "following",
+}
+"""Module of this package that has each game, by the class's name, which is the environment's. It
+is imported when the game is made: several objects, and a steered finger, take time to import."""
 
 Observation = dict[str, NDArray[Any]]
 """What a player sees, by name."""
@@ -46,7 +44,7 @@ Observation = dict[str, NDArray[Any]]
 
 def register_environments() -> None:
     """Makes the environments known to Gymnasium, as `gridpush/NAME-v0`."""
-    for name in GAME_CLASSES:
+    for name in GAME_MODULES:
         if f"gridpush/{name}-v0" not in gymnasium.registry:
             gymnasium.register(
                 f"gridpush/{name}-v0",
@@ -54,28 +52,28 @@ def register_environments() -> None:
                 vector_entry_point=f"{__name__}:PushVectorEnvironment",
                 kwargs={"game": name},
             )
-    if FOLLOW_ID not in gymnasium.registry:
-        gymnasium.register(FOLLOW_ID, entry_point="gridpush_drake.gym.following:FollowEnvironment")
-    if REARRANGE_ID not in gymnasium.registry:
-        gymnasium.register(
-            REARRANGE_ID, entry_point="gridpush_drake.gym.rearranging:RearrangeEnvironment"
-        )
 
 
-def make_game(game: str, options: dict[str, Any]) -> PushGame:
+def make_game(game: str, options: dict[str, Any]) -> Game[Any]:
     """Makes a game.
 
     Args:
-        game: its name, one of GAME_CLASSES.
-        options: fields of `GameOptions`.
+        game: its name, one of GAME_MODULES.
+        options: fields of the game's options.
 
     Raises:
         PlanningError: there is no such game.
     """
-    if game not in GAME_CLASSES:
-        raise PlanningError(f"game: {game!r}; expected one of {', '.join(GAME_CLASSES)}")
-    kind = GAME_CLASSES[game]
-    return kind(GameOptions(**kind.list_defaults() | options))
+    if game not in GAME_MODULES:
+        raise PlanningError(f"game: {game!r}; expected one of {', '.join(GAME_MODULES)}")
+    kind = getattr(import_module(f"{__package__}.{GAME_MODULES[game]}"), game)
+    made: Game[Any] = kind(kind.options_kind(**kind.list_defaults() | options))
+    return made
+
+
+def _describe_pictures(game: Game[Any]) -> dict[str, Any]:
+    """What an environment of a game tells Gymnasium of its pictures."""
+    return {**RENDER_METADATA, "render_fps": game.pictures_per_second}
 
 
 class _View:
@@ -85,7 +83,7 @@ class _View:
         space: the space of an observation.
     """
 
-    def __init__(self, game: PushGame, camera: bool) -> None:
+    def __init__(self, game: Game[Any], camera: bool) -> None:
         """Takes a game, and whether there is a camera, whose picture is "rgb"."""
         self._game = game
         self._camera = camera
@@ -97,12 +95,12 @@ class _View:
         # Gymnasium's stubs leave its type open
         self.space = cast(Space[Observation], Dict(cast(dict[str, Space[Any]], self._spaces)))
 
-    def observe(self, episodes: Sequence[EpisodeState]) -> Observation:
+    def observe(self, episodes: Sequence[Any]) -> Observation:
         """Returns what is seen of each episode, one above the other."""
         seen = [self._game.observe(episode) for episode in episodes]
         if self._camera:
             for values, episode in zip(seen, episodes, strict=True):
-                values["rgb"] = draw_scene(self._game, episode, CAMERA_SIZE, show_hidden=False)
+                values["rgb"] = self._game.draw(episode, CAMERA_SIZE, show_hidden=False)
         return {
             name: np.clip(
                 np.stack([values[name] for values in seen]), space.low, space.high
@@ -112,12 +110,13 @@ class _View:
 
 
 class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
-    """One episode after another.
+    """One episode after another of a game.
 
-    An action is a push: (place, direction, distance), each from -1 to 1. They stand for where along
-    the outline that the finger can reach (once round), for -0.8 to 0.8 rad from the inward normal
-    there, and for 1 to 15 cm. An observation is a dictionary; lengths are in m, and everything is
-    as it was seen, with noise:
+    `gym.rearranging.Rearrange` and `gym.following.Follow` say what actions and observations are in
+    their games. In the others an action is a push of the only object: (place, direction, distance),
+    each from -1 to 1. They stand for where along the outline that the finger can reach (once
+    round), for -0.8 to 0.8 rad from the inward normal there, and for 1 to 15 cm. An observation is
+    a dictionary; lengths are in m, and everything is as it was seen, with noise:
 
         pose          (4,) x, y, cosine and sine of theta of the object's body frame
         outline       (256,) 64 places, at actions -1, -1 + 2/64, ...: point and inward normal (4
@@ -148,21 +147,22 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
         camera: bool = False,
         **options: Any,
     ) -> None:
-        """Makes the environment of a game of GAME_CLASSES.
+        """Makes the environment of a game of GAME_MODULES.
 
         Args:
             game: its name.
             render_mode: "rgb_array", or None for no pictures.
             camera: whether the observation has "rgb", the scene seen from above, which shows no
                 masses.
-            options: fields of `GameOptions`.
+            options: fields of the game's options.
         """
         self.game = make_game(game, options)
+        self.metadata = _describe_pictures(self.game)
         self.render_mode = render_mode
         self._view = _View(self.game, camera)
         self.observation_space = self._view.space
-        self.action_space = Box(-1.0, 1.0, (3,), np.float32)
-        self.episode: EpisodeState | None = None
+        self.action_space = Box(-1.0, 1.0, (self.game.action_size,), np.float32)
+        self.episode: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -173,7 +173,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
         return self._observe(), {"score": self.episode.score, "is_success": False}
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Makes one push."""
+        """Takes one action."""
         assert self.episode is not None, "call reset first"
         (turn,) = self.game.play([self.episode], [np.asarray(action)])
         self.episode = turn.episode
@@ -185,7 +185,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
         """Draws the scene from above (PICTURE_SIZE, PICTURE_SIZE, 3), with the hidden masses."""
         if self.render_mode is None or self.episode is None:
             return None
-        return draw_scene(self.game, self.episode, PICTURE_SIZE, show_hidden=True)
+        return self.game.draw(self.episode, PICTURE_SIZE, show_hidden=True)
 
     def _observe(self) -> Observation:
         assert self.episode is not None
@@ -193,7 +193,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
 
 
 class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
-    """Many episodes at once, whose pushes are simulated in one batch.
+    """Many episodes at once; pushes of one object are simulated in one batch.
 
     An episode that is over begins anew with the next step, whose action it does not heed
     (`AutoresetMode.NEXT_STEP`).
@@ -211,7 +211,7 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         camera: bool = False,
         **options: Any,
     ) -> None:
-        """Makes the environment of a game of GAME_CLASSES.
+        """Makes the environment of a game of GAME_MODULES.
 
         Args:
             num_envs: number of episodes.
@@ -219,18 +219,19 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             render_mode: "rgb_array", or None for no pictures.
             camera: whether the observation has "rgb", the scene seen from above, which shows no
                 masses.
-            options: fields of `GameOptions`.
+            options: fields of the game's options.
         """
         self.num_envs = num_envs
         self.game = make_game(game, options)
         self.render_mode = render_mode
-        self.metadata = {**RENDER_METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
+        pictures = _describe_pictures(self.game)
+        self.metadata = {**pictures, "autoreset_mode": AutoresetMode.NEXT_STEP}
         self._view = _View(self.game, camera)
         self.single_observation_space = self._view.space
-        self.single_action_space = Box(-1.0, 1.0, (3,), np.float32)
+        self.single_action_space = Box(-1.0, 1.0, (self.game.action_size,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.episodes: list[EpisodeState] = []
+        self.episodes: list[Any] = []
         self._generators: list[np.random.Generator] = []
         self._over = np.zeros(num_envs, dtype=bool)
 
@@ -265,7 +266,7 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def step(
         self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Makes one push in each episode that is not over."""
+        """Takes one action in each episode that is not over."""
         rewards = np.zeros(self.num_envs)
         terminated, cut_off, won = np.zeros((3, self.num_envs), dtype=bool)
         # Episodes that are over begin anew, and do not heed their actions.
@@ -289,8 +290,7 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         if self.render_mode is None or not self.episodes:
             return None
         return tuple(
-            draw_scene(self.game, episode, PICTURE_SIZE, show_hidden=True)
-            for episode in self.episodes
+            self.game.draw(episode, PICTURE_SIZE, show_hidden=True) for episode in self.episodes
         )
 
     def _inform(self, won: NDArray[np.bool_]) -> dict[str, Any]:

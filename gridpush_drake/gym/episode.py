@@ -1,28 +1,39 @@
-"""An episode, in which one hidden object is pushed; and the game that says what pushes are worth.
+"""`Game`: what is drawn, seen and rewarded; and an episode in which one hidden object is pushed.
 
-A game holds what never changes, an episode all that does. `play` makes one push in each of many
-episodes, all of them simulated together; an environment is one episode, a vector environment many.
+A game holds what never changes, an episode all that does. `play` takes one action in each of many
+episodes; an environment is one episode, a vector environment many. In a `PushGame` an action is a
+push of one object, and the pushes of all episodes are simulated together.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from gymnasium.spaces import Box
+from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads, simulate_batch
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
-from gridpush_drake.gym.known_shape import FINGER_OPTIONS, KnownShape, load_shape
+from gridpush_drake.geometry.se2 import Array, rotate, transform, wrap_angle
+from gridpush_drake.gym.known_shape import FINGER_OPTIONS, KnownShape, load_shapes
+from gridpush_drake.gym.rendering import (
+    FLOOR_WIDTH,
+    GOAL_COLOR,
+    PUSH_COLOR,
+    TABLE_COLOR,
+    VIEW_HALF_SIDE,
+    TablePicture,
+    color_cells,
+)
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import GraspPart
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.planning.world import WorldMotion
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -54,6 +65,26 @@ OBSERVATION_COUNT = 4
 
 SPACE_MARGIN = 1.0
 """Distance beyond the table's edge that the space of poses reaches, m."""
+
+
+PUSH_PICTURES = 2
+"""Number of pushes a second in a film of pictures."""
+
+
+class AnyEpisode(Protocol):
+    """How an episode of any game stands."""
+
+    @property
+    def score(self) -> float:
+        """The game's own measure."""
+
+    @property
+    def fallen(self) -> bool:
+        """Whether an object fell off the table, which ends the episode."""
+
+
+EpisodeType = TypeVar("EpisodeType", bound=AnyEpisode)
+"""The episode of a game."""
 
 
 def take_objects(objects: Sequence[str | GridObject]) -> tuple[str | GridObject, ...]:
@@ -141,7 +172,7 @@ class EpisodeState:
     fallen: bool = False
     goal: Array | None = None
     parts: tuple[GraspPart, ...] = ()
-    model: UncertainModel | None = None
+    model: Belief | None = None
     held_out: PushLog = field(default_factory=lambda: PushLog(()))
     motion: WorldMotion | None = None
 
@@ -152,8 +183,8 @@ class EpisodeState:
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
-    """What came of one push.
+class Turn(Generic[EpisodeType]):
+    """What came of one action.
 
     Attributes:
         episode: the episode after it.
@@ -161,7 +192,7 @@ class Turn:
         won: whether the game's aim is reached, which ends the episode.
     """
 
-    episode: EpisodeState
+    episode: EpisodeType
     reward: float
     won: bool = False
 
@@ -171,44 +202,84 @@ class Turn:
         return self.won or self.episode.fallen
 
 
-class PushGame:
-    """What is drawn, seen and rewarded; a game is a subclass.
+class Game(Generic[EpisodeType]):
+    """What is drawn, seen and rewarded: all that an environment asks of a game.
 
     Attributes:
-        table: sides of the table along x and y, m; its middle is the world's origin.
-        defaults: fields of `GameOptions` for which the game has other defaults.
-        options: what an episode is drawn from.
-        shapes: the objects as a player knows them.
-        surface: the table.
+        options_kind: class of the options.
+        defaults: fields of the options for which the game has other defaults.
+        action_size: length of an action, each of whose numbers is from -1 to 1.
+        pictures_per_second: number of actions a second in a film of pictures.
     """
 
-    table: ClassVar[tuple[float, float]]
+    options_kind: ClassVar[type[Any]]
     defaults: ClassVar[dict[str, Any]] = {}
-
-    def __init__(self, options: GameOptions | None = None) -> None:
-        """Takes what an episode is drawn from."""
-        self.options = options or GameOptions()
-        self.shapes = [
-            load_shape(one) if isinstance(one, str) else KnownShape(one)
-            for one in self.options.objects
-        ]
-        self.surface = SupportSurface.rectangle((0.0, 0.0), self.table)
-        self._half = np.array(self.table) / 2
+    action_size: ClassVar[int] = 3
+    pictures_per_second: ClassVar[int] = PUSH_PICTURES
 
     @classmethod
     def list_defaults(cls) -> dict[str, Any]:
         """Options that the game has other defaults for."""
         return cls.defaults
 
-    def begin(self, rng: np.random.Generator) -> EpisodeState:
+    def begin(self, rng: np.random.Generator) -> EpisodeType:
         """Draws an episode; `rng` also draws its noise."""
         raise NotImplementedError
+
+    def play(
+        self, episodes: Sequence[EpisodeType], actions: Sequence[Array]
+    ) -> list[Turn[EpisodeType]]:
+        """Takes one action (action_size,) in each of the episodes, none of which is over."""
+        raise NotImplementedError
+
+    def is_cut_off(self, episode: EpisodeType) -> bool:
+        """Says whether all actions of an episode were taken."""
+        raise NotImplementedError
+
+    def make_spaces(self) -> dict[str, Box]:
+        """Makes the spaces of the observation; lengths in m, angles as cosine and sine."""
+        raise NotImplementedError
+
+    def observe(self, episode: EpisodeType) -> dict[str, Any]:
+        """Returns what a player sees."""
+        raise NotImplementedError
+
+    def draw(self, episode: EpisodeType, size: int, show_hidden: bool) -> NDArray[np.uint8]:
+        """Draws an episode from straight above (size, size, 3), RGB; x to the right and y up.
+
+        Args:
+            episode: the episode.
+            size: side of the picture, pixels.
+            show_hidden: whether the picture may show what is hidden from players.
+        """
+        raise NotImplementedError
+
+
+class PushGame(Game[EpisodeState]):
+    """A game in which each action is a push of the only object; a game is a subclass.
+
+    Attributes:
+        table: sides of the table along x and y, m; its middle is the world's origin.
+        options: what an episode is drawn from.
+        shapes: the objects as a player knows them.
+        surface: the table.
+    """
+
+    options_kind = GameOptions
+    table: ClassVar[tuple[float, float]]
+
+    def __init__(self, options: GameOptions | None = None) -> None:
+        """Takes what an episode is drawn from."""
+        self.options = options or GameOptions()
+        self.shapes = load_shapes(self.options.objects)
+        self.surface = SupportSurface.rectangle((0.0, 0.0), self.table)
+        self._half = np.array(self.table) / 2
 
     def measure(self, episode: EpisodeState) -> float:
         """Calculates the game's score of an episode as it stands, m."""
         raise NotImplementedError
 
-    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn[EpisodeState]:
         """Says what a push was worth, and returns the episode after it with its `score`."""
         raise NotImplementedError
 
@@ -266,7 +337,9 @@ class PushGame:
             **self.observe_own(episode),
         }
 
-    def play(self, episodes: Sequence[EpisodeState], actions: Sequence[Array]) -> list[Turn]:
+    def play(
+        self, episodes: Sequence[EpisodeState], actions: Sequence[Array]
+    ) -> list[Turn[EpisodeState]]:
         """Makes one push in each of the episodes, all simulated in one batch.
 
         Args:
@@ -342,6 +415,28 @@ class PushGame:
     def is_cut_off(self, episode: EpisodeState) -> bool:
         """Says whether all pushes of an episode were made."""
         return len(episode.pushes) >= self.options.max_pushes
+
+    def draw(self, episode: EpisodeState, size: int, show_hidden: bool) -> NDArray[np.uint8]:
+        """Draws the table, the object, its goal and the finger's last path."""
+        corners = self.surface.corners
+        obj = episode.shape.obj
+        half = min(np.abs(corners).max() + FLOOR_WIDTH, VIEW_HALF_SIDE)
+        # A table larger than the view is seen about the object.
+        middle = np.zeros(2) if half < VIEW_HALF_SIDE else episode.true_pose[:2]
+        picture = TablePicture(size, middle, half)
+        picture.fill(corners, TABLE_COLOR)
+        square = obj.cell_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        colors = color_cells(episode.hidden.mass, show_hidden)
+        for p_BC, color in zip(obj.p_BC, colors, strict=True):
+            picture.fill(transform(episode.true_pose, p_BC + square), color)
+        if episode.goal is not None:
+            outline = np.array(obj.outline.exterior.coords)
+            picture.draw_line(transform(episode.goal, outline), GOAL_COLOR)
+        if episode.pushes:
+            push = episode.pushes[-1].push
+            picture.draw_line(push.xy, PUSH_COLOR)
+            picture.fill_disc(push.xy[-1], push.radius, PUSH_COLOR)
+        return picture.finish()
 
 
 def flatten_pose(pose: Array) -> Array:

@@ -1,20 +1,18 @@
-"""`FollowEnvironment`: a finger is steered ten times a second, to push an object along a path.
+"""`Follow`: a finger is steered ten times a second, to push an object along a path, as a game.
 
-The other environments are of single pushes, decided beforehand (`gym.environments`). Here contact
-is kept: an action is the finger's velocity, and poses come late, with noise and gaps, as in
+The other games are of single pushes, decided beforehand (`gym.games`). Here contact is kept: an
+action is the finger's velocity, and poses come late, with noise and gaps, as in
 `planning.feedback.SteeredFinger`. What is hidden is drawn as in the other games.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
-import gymnasium
 import numpy as np
 import shapely
-from gymnasium.spaces import Box, Dict, Space
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import PlanningError, require_positive
@@ -24,16 +22,18 @@ from gridpush_drake.gym.episode import (
     EPISODE_OBJECTS,
     FRICTION_RANGE,
     MASS_RANGE,
+    Game,
+    Turn,
     flatten_pose,
     take_objects,
 )
-from gridpush_drake.gym.known_shape import KnownShape, load_shape
+from gridpush_drake.gym.known_shape import KnownShape, load_shapes
 from gridpush_drake.gym.rendering import (
     GOAL_COLOR,
     OBJECT_COLOR,
     PUSH_COLOR,
-    SUPERSAMPLING,
     TABLE_COLOR,
+    TablePicture,
 )
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
@@ -86,14 +86,11 @@ PER_STEP = 0.01
 MAX_PLACE = 2.0
 """Limit of the places that are observed, m."""
 
-PICTURE_SIZE = 480
-"""Side of what `render` gives, pixels."""
-
 VIEW_HALF_SIDE = 0.4
-"""Half the side of that picture, m."""
+"""Half the side of the picture, m."""
 
 LINE_WIDTH = 0.003
-"""Width of lines in that picture, m."""
+"""Width of lines in the picture, m."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +146,6 @@ class FollowEpisode:
         came: all poses that came since the last step.
         progress: how far it truly came on the path, m.
         off: true distances of the centroid from the path so far, m.
-        steps: number of steps so far.
     """
 
     shape: KnownShape
@@ -161,10 +157,19 @@ class FollowEpisode:
     came: list[SeenPose]
     progress: float = 0.0
     off: list[float] = field(default_factory=list)
-    steps: int = 0
+    fallen: ClassVar[bool] = False
+
+    @property
+    def score(self) -> float:
+        """Root mean square distance from the path so far, m."""
+        return float(np.sqrt((np.array(self.off or [0.0]) ** 2).mean()))
+
+    def find_center(self, pose: Array) -> Array:
+        """Place (2,) of the cells' centroid at a pose (3,), W, m."""
+        return transform(pose, self.shape.obj.p_BC.mean(axis=0)[None])[0]
 
 
-class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
+class Follow(Game[FollowEpisode]):
     """`gridpush/Follow-v0`: an object of hidden masses is pushed along a path, with feedback.
 
     A step is 0.1 s. An action is the finger's velocity (2,) in W, in units of 0.2 m/s; a longer one
@@ -180,69 +185,49 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
         outline       (256,) 64 places of the outline: point and inward normal (4 each), body frame
         occupancy     (48, 48, 1) 255 where the object is, 1 cm a pixel, about its cells' centroid
 
-    Reward: 10 a meter of true progress along the path, less 5 a meter of the centroid's distance
-    from it and 0.01 in each step, and 1 for coming within 5 mm of its end, which ends the episode.
-    `info` has "score", the root mean square distance from the path so far, m, and "is_success".
+    Its score is the root mean square distance from the path so far, m. Reward: 10 a meter of true
+    progress along the path, less 5 a meter of the centroid's distance from it and 0.01 in each
+    step, and 1 for coming within 5 mm of its end, which ends the episode.
 
     Attributes:
         options: what is drawn.
-        episode: the present one; None before the first `reset`.
+        finger: the finger that is steered.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
-
+    options_kind = FollowGameOptions
+    action_size = 2
+    pictures_per_second = round(1 / STEP_PERIOD)
     finger: ClassVar[FeedbackFinger] = STEERED_FINGER
-    """The finger."""
 
-    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        """Makes the environment.
+    def __init__(self, options: FollowGameOptions | None = None) -> None:
+        """Takes what an episode is drawn from."""
+        self.options = options or FollowGameOptions()
+        self._shapes = load_shapes(self.options.objects)
 
-        Args:
-            render_mode: "rgb_array", or None for no pictures.
-            options: fields of `FollowGameOptions`.
-        """
-        self.options = FollowGameOptions(**options)
-        self.render_mode = render_mode
-        self.episode: FollowEpisode | None = None
-        self._shapes = [
-            load_shape(one) if isinstance(one, str) else KnownShape(one)
-            for one in self.options.objects
-        ]
+    def make_spaces(self) -> dict[str, Box]:
+        """Makes the spaces of the observation."""
         shape = self._shapes[0]
         limit = np.array([MAX_PLACE, MAX_PLACE, 1.0, 1.0], dtype=np.float32)
         limits = np.tile(limit, (PATH_POSES_AHEAD, 1))
         duration = self.options.max_steps * STEP_PERIOD
-        longest = np.float32(duration + 1.0)
-        brightest = np.iinfo(np.uint8).max
-        spaces: dict[str, Box] = {
+        return {
             "pose": Box(-limit, limit),
-            "age": Box(0.0, longest, (1,)),
+            "age": Box(0.0, np.float32(duration + 1.0), (1,)),
             "tip": Box(-MAX_PLACE, MAX_PLACE, (2,)),
             "path": Box(-limits, limits),
             "progress": Box(0.0, MAX_PLACE, (1,)),
             "outline": Box(-1.0, 1.0, (shape.outline.size,)),
-            "occupancy": Box(0, brightest, shape.occupancy.shape, np.uint8),
+            "occupancy": Box(0, np.iinfo(np.uint8).max, shape.occupancy.shape, np.uint8),
         }
-        # Gymnasium's stubs leave its type open
-        every = Dict(cast(dict[str, Space[Any]], spaces))
-        self.observation_space = cast(Space[dict[str, NDArray[Any]]], every)
-        self._spaces = spaces
-        self.action_space = Box(-1.0, 1.0, (2,), np.float32)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Begins another episode."""
-        super().reset(seed=seed, options=options)
-        self.episode = self._begin(self.np_random)
-        return self._observe(self.episode), self._inform(self.episode, False)
+    def play(
+        self, episodes: Sequence[FollowEpisode], actions: Sequence[Array]
+    ) -> list[Turn[FollowEpisode]]:
+        """Moves the finger of each episode for 0.1 s."""
+        return [self._steer(*pair) for pair in zip(episodes, actions, strict=True)]
 
-    def step(
-        self, action: NDArray[Any]
-    ) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
-        """Moves the finger for 0.1 s."""
-        episode = self.episode
-        assert episode is not None, "call reset first"
+    def _steer(self, episode: FollowEpisode, action: Array) -> Turn[FollowEpisode]:
+        """Moves the finger of an episode for 0.1 s."""
         chosen = check_vector(PlanningError, "action", action, 2)
         size = float(np.linalg.norm(chosen))
         direction = chosen / max(size, 1.0)
@@ -253,11 +238,11 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
         for _ in range(frame_count):
             came = finger.move(velocity)
             episode.came.extend(came)
+        # poses come late, and some never
         if episode.came:
             episode.seen = episode.came[-1]
-        episode.steps += 1
         # what it was worth, by where the object truly is
-        center = self._find_center(episode, finger.pose)
+        center = episode.find_center(finger.pose)
         before = episode.progress
         episode.progress = episode.way.project(center, float(finger.pose[2]), before)
         off = float(episode.way.measure_distance(center[None])[0])
@@ -269,16 +254,13 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
         reward = gained - PER_METER_OFF * off - PER_STEP
         if won:
             reward += 1.0
-        cut_off = not won and episode.steps >= self.options.max_steps
-        return self._observe(episode), float(reward), won, cut_off, self._inform(episode, won)
+        return Turn(episode, reward, won)
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Draws the scene from above (480, 480, 3): path, object, and finger."""
-        if self.render_mode is None or self.episode is None:
-            return None
-        return draw_following(self.episode)
+    def is_cut_off(self, episode: FollowEpisode) -> bool:
+        """Says whether all steps of an episode were made."""
+        return len(episode.off) >= self.options.max_steps
 
-    def _begin(self, rng: np.random.Generator) -> FollowEpisode:
+    def begin(self, rng: np.random.Generator) -> FollowEpisode:
         """Draws an object, what is hidden of it, and its path."""
         chosen = int(rng.integers(len(self._shapes)))
         shape = self._shapes[chosen]
@@ -312,10 +294,10 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
             came=[seen],
         )
 
-    def _observe(self, episode: FollowEpisode) -> dict[str, NDArray[Any]]:
+    def observe(self, episode: FollowEpisode) -> dict[str, Any]:
         """Returns what a player sees."""
         seen = episode.seen.pose
-        center = self._find_center(episode, seen)
+        center = episode.find_center(seen)
         progress = episode.way.project(center, float(seen[2]), episode.progress)
         lengths = AHEAD_SPACING * np.arange(1, PATH_POSES_AHEAD + 1)
         ahead = episode.way.at(progress + lengths)
@@ -323,7 +305,7 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
         origins = ahead[:, :2] - rotate(ahead[:, 2], middle)
         headings = ahead[:, 2]
         poses = np.column_stack([origins, np.cos(headings), np.sin(headings)])
-        values = {
+        return {
             "pose": flatten_pose(seen),
             "age": np.array([episode.finger.time - episode.seen.time]),
             "tip": episode.finger.tip,
@@ -332,21 +314,20 @@ class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
             "outline": episode.shape.outline.ravel(),
             "occupancy": episode.shape.occupancy,
         }
-        observation = {}
-        for name, space in self._spaces.items():
-            limited = np.clip(values[name], space.low, space.high)
-            observation[name] = limited.astype(space.dtype)
-        return observation
 
-    def _find_center(self, episode: FollowEpisode, pose: Array) -> Array:
-        """Place (2,) of the cells' centroid at a pose (3,), W, m."""
-        return transform(pose, episode.shape.obj.p_BC.mean(axis=0)[None])[0]
-
-    def _inform(self, episode: FollowEpisode, won: bool) -> dict[str, Any]:
-        """Returns the score so far, and whether the aim is reached."""
-        off = np.array(episode.off or [0.0])
-        score = float(np.sqrt((off**2).mean()))
-        return {"score": score, "is_success": won}
+    def draw(self, episode: FollowEpisode, size: int, show_hidden: bool) -> NDArray[np.uint8]:
+        """Draws path, object, and finger; nothing that is hidden is shown."""
+        obj = episode.shape.obj
+        middle = episode.way.at(episode.way.length / 2)[:2]
+        picture = TablePicture(size, middle, VIEW_HALF_SIDE, TABLE_COLOR)
+        outline = np.array(obj.outline.exterior.coords)[:, :2]
+        picture.fill(transform(episode.finger.pose, outline), OBJECT_COLOR)
+        line = episode.way.at(np.linspace(0.0, episode.way.length, PATH_POINTS))[:, :2]
+        picture.draw_line(line, GOAL_COLOR, LINE_WIDTH)
+        picture.draw_line(transform(episode.path.goal, outline), GOAL_COLOR, LINE_WIDTH)
+        finger = shapely.Point(episode.finger.tip).buffer(STEERED_FINGER.radius)
+        picture.fill(shapely.get_coordinates(finger), PUSH_COLOR)
+        return picture.finish()
 
 
 def find_side(obj: GridObject) -> float:
@@ -383,30 +364,3 @@ def place_behind(obj: GridObject, path: PosePath) -> Array:
     extent = float(((corners - center) @ back).max())
     reach = extent + STEERED_FINGER.radius + START_GAP
     return np.asarray(center + reach * back)
-
-
-def draw_following(episode: FollowEpisode) -> NDArray[np.uint8]:
-    """Draws an episode from above (480, 480, 3): path, object, and finger."""
-    obj = episode.shape.obj
-    size = SUPERSAMPLING * PICTURE_SIZE
-    scale = size / (2 * VIEW_HALF_SIDE)
-    middle = episode.way.at(episode.way.length / 2)[:2]
-    image = Image.new("RGB", (size, size), TABLE_COLOR)
-    brush = ImageDraw.Draw(image)
-
-    def place(points: Array) -> list[tuple[float, float]]:
-        # x to the right and y up
-        flipped = (points - middle) * (1, -1)
-        pixels = (flipped + VIEW_HALF_SIDE) * scale
-        return [(float(x), float(y)) for x, y in pixels]
-
-    outline = np.array(obj.outline.exterior.coords)[:, :2]
-    width = max(1, round(LINE_WIDTH * scale))
-    brush.polygon(place(transform(episode.finger.pose, outline)), fill=OBJECT_COLOR)
-    lengths = np.linspace(0.0, episode.way.length, PATH_POINTS)
-    line = episode.way.at(lengths)[:, :2]
-    brush.line(place(line), fill=GOAL_COLOR, width=width)
-    brush.line(place(transform(episode.path.goal, outline)), fill=GOAL_COLOR, width=width)
-    finger = shapely.Point(episode.finger.tip).buffer(STEERED_FINGER.radius)
-    brush.polygon(place(shapely.get_coordinates(finger)), fill=PUSH_COLOR)
-    return np.asarray(image.reduce(SUPERSAMPLING))

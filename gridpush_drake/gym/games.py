@@ -29,13 +29,13 @@ from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScal
 from gridpush_drake.identification.statistics.posterior import Posterior
 from gridpush_drake.identification.statistics.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.exploration.designed_pokes import (
     calc_worst_std,
     make_center_functional,
 )
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 PER_METER = 10.0
@@ -150,7 +150,7 @@ class PushToGoal(PushGame):
         assert episode.goal is not None
         return float(calc_goal_error(episode.shape.obj, episode.true_pose, episode.goal))
 
-    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn[EpisodeState]:
         """Rewards by how much nearer the goal is."""
         error = self.measure(after)
         won = error < self.reached and not after.fallen
@@ -313,7 +313,7 @@ class SlideToEdge(PushGame):
         """Calculates how far the part that is farthest out hangs over the edge, m."""
         return float(calc_overhangs(episode.parts, episode.true_pose, self.surface).max())
 
-    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn[EpisodeState]:
         """Rewards by how much farther out a part is."""
         overhang = self.measure(after)
         won = overhang >= 0 and not after.fallen
@@ -373,7 +373,7 @@ class Explore(PushGame):
         assert episode.model is not None
         return _calc_held_out_error(episode.model, episode.held_out)
 
-    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn:
+    def judge(self, before: EpisodeState, after: EpisodeState) -> Turn[EpisodeState]:
         """Rewards by how much better the learner predicts."""
         assert before.model is not None
         model = learn(before.model, after.pushes[-1])
@@ -400,7 +400,7 @@ class Explore(PushGame):
 
 # the matrices are small: threads only cost time, and reorder sums
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
+def learn(model: Belief, seen: ObservedPush) -> Belief:
     """Takes in where a push was seen to end; gives the same model where the push told nothing.
 
     With z = (log k, log mu_c) ~ N(mean, S) of `identification.statistics.posterior`, r the residual
@@ -427,21 +427,16 @@ def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
         mean = before.mean - gain @ (r + J @ (before.mean - mean))
     left = np.eye(len(mean)) - gain @ J
     after = Posterior(mean, left @ S @ left.T + gain @ R @ gain.T, before.prior_covariance)
-    return replace(model, params=problem.params(mean), posterior=after)
+    bodies = model.bodies.with_params(problem.params(mean))
+    return replace(model, bodies=bodies, posterior=after)
 
 
-def _calc_held_out_error(model: UncertainModel, held_out: PushLog) -> float:
+def _calc_held_out_error(model: Belief, held_out: PushLog) -> float:
     problem = PushProblem(model.obj, held_out, model.params, model.physics)
     return float(problem.calc_cell_errors(problem.residuals(model.require_posterior().mean)).mean())
 
 
 @lru_cache(maxsize=32)
-def _make_prior(shape: KnownShape) -> UncertainModel:
+def _make_prior(shape: KnownShape) -> Belief:
     """Makes what is held possible before any push."""
-    return UncertainModel.of_prior(shape.obj)
-
-
-GAME_CLASSES: dict[str, type[PushGame]] = {
-    game.__name__: game for game in (PushToGoal, SlideToEdge, Explore, PushTHidden)
-}
-"""The games by their environments' names."""
+    return Belief.of_prior(shape.obj)

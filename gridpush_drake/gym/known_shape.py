@@ -6,6 +6,7 @@ A place on the outline is a fraction of its reachable length (`planning.contact.
 from 0 to 1, so that the finger fits at every place.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -152,6 +153,15 @@ class KnownShape:
         values = np.array([reach.calc_fraction(float(along[piece]), piece), angle, push.length])
         action = 2 * (values - ranges[:, 0]) / np.ptp(ranges, axis=1) - 1
         return np.clip(action, -1.0, 1.0).astype(np.float32)
+
+
+def load_shapes(objects: Sequence[str | GridObject]) -> list[KnownShape]:
+    """Makes the shapes of objects, or of shipped ones by their names.
+
+    Raises:
+        ObjectError: no shipped object has one of the names.
+    """
+    return [load_shape(one) if isinstance(one, str) else KnownShape(one) for one in objects]
 
 
 @lru_cache(maxsize=32)

@@ -1,11 +1,10 @@
-"""Pictures of an episode, from straight above."""
+"""`TablePicture`: pictures of episodes, from straight above."""
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from gridpush_drake.geometry.se2 import Array, transform
-from gridpush_drake.gym.episode import EpisodeState, PushGame
+from gridpush_drake.geometry.se2 import Array
 
 VIEW_HALF_SIDE = 1.0
 """Half the side of the picture of a large table, m."""
@@ -41,58 +40,65 @@ HEAVY_COLOR = np.array([120, 20, 60])
 """Color of the heaviest cell (3,), RGB from 0 to 255."""
 
 
-def draw_scene(
-    game: PushGame, episode: EpisodeState, size: int, show_hidden: bool
-) -> NDArray[np.uint8]:
-    """Draws the table, the object, its goal and the finger's last path.
+class TablePicture:
+    """A picture of a part of the table, seen from straight above; x to the right and y up."""
 
-    Args:
-        game: the game.
-        episode: the episode that is drawn.
-        size: side of the picture, pixels.
-        show_hidden: whether cells are colored by their hidden masses.
+    def __init__(
+        self, size: int, middle: Array, half: float, color: tuple[int, int, int] = FLOOR_COLOR
+    ) -> None:
+        """Makes an empty picture.
 
-    Returns:
-        (size, size, 3) RGB; x to the right and y up.
-    """
-    corners = game.surface.corners
-    obj = episode.shape.obj
-    half = min(np.abs(corners).max() + FLOOR_WIDTH, VIEW_HALF_SIDE)
-    # A table larger than the view is seen about the object.
-    middle = np.zeros(2) if half < VIEW_HALF_SIDE else episode.true_pose[:2]
-    scale = SUPERSAMPLING * size / (2 * half)
-    image = Image.new("RGB", (SUPERSAMPLING * size,) * 2, FLOOR_COLOR)
-    brush = ImageDraw.Draw(image)
+        Args:
+            size: side of the picture, pixels.
+            middle: (2,) place in the middle of it, W, m.
+            half: half of the side that is seen, m.
+            color: of what is not drawn over, RGB from 0 to 255.
+        """
+        self._middle = middle
+        self._half = half
+        self._scale = SUPERSAMPLING * size / (2 * half)
+        self._image = Image.new("RGB", (SUPERSAMPLING * size,) * 2, color)
+        self._brush = ImageDraw.Draw(self._image)
 
-    def place(points: Array) -> list[tuple[float, float]]:
-        pixels = ((points - middle) * (1, -1) + half) * scale
+    def fill(self, points: Array, color: tuple[int, int, int]) -> None:
+        """Draws the inside of a polygon with corners (K, 2), W, m."""
+        self._brush.polygon(self._place(points), fill=color)
+
+    def fill_disc(self, center: Array, radius: float, color: tuple[int, int, int]) -> None:
+        """Draws a disc about a place (2,), W, m."""
+        x, y = self._place(center[None])[0]
+        reach = radius * self._scale
+        self._brush.ellipse((x - reach, y - reach, x + reach, y + reach), fill=color)
+
+    def draw_line(
+        self, points: Array, color: tuple[int, int, int], width: float = LINE_WIDTH, times: int = 1
+    ) -> None:
+        """Draws a line through places (K, 2), W, m.
+
+        Args:
+            points: the places.
+            color: RGB from 0 to 255.
+            width: of the line, m; it is a whole number of fine pixels.
+            times: how many times that the line is as wide.
+        """
+        pixels = times * max(1, round(width * self._scale))
+        self._brush.line(self._place(points), fill=color, width=pixels)
+
+    def finish(self) -> NDArray[np.uint8]:
+        """The picture (size, size, 3), RGB."""
+        return np.asarray(self._image.reduce(SUPERSAMPLING))
+
+    def _place(self, points: Array) -> list[tuple[float, float]]:
+        """Finds the pixels of places (K, 2), W, m."""
+        pixels = ((np.asarray(points) - self._middle) * (1, -1) + self._half) * self._scale
         return [(float(x), float(y)) for x, y in pixels]
 
-    brush.polygon(place(corners), fill=TABLE_COLOR)
-    square = obj.cell_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    for p_BC, color in zip(obj.p_BC, _color_cells(episode, show_hidden), strict=True):
-        brush.polygon(place(transform(episode.true_pose, p_BC + square)), fill=color)
-    if episode.goal is not None:
-        outline = np.array(obj.outline.exterior.coords)
-        brush.line(
-            place(transform(episode.goal, outline)),
-            fill=GOAL_COLOR,
-            width=max(1, round(LINE_WIDTH * scale)),
-        )
-    if episode.pushes:
-        push = episode.pushes[-1].push
-        brush.line(place(push.xy), fill=PUSH_COLOR, width=max(1, round(LINE_WIDTH * scale)))
-        radius = push.radius * scale
-        x, y = place(push.xy[-1:])[0]
-        brush.ellipse((x - radius, y - radius, x + radius, y + radius), fill=PUSH_COLOR)
-    return np.asarray(image.reduce(SUPERSAMPLING))
 
-
-def _color_cells(episode: EpisodeState, show_hidden: bool) -> list[tuple[int, int, int]]:
-    """Chooses the color of each cell."""
-    mass = np.log(episode.hidden.mass)
+def color_cells(mass: Array, show_hidden: bool) -> list[tuple[int, int, int]]:
+    """Chooses the colors of cells: one for all, or by their masses (n,), kg, which are hidden."""
     if not show_hidden:
         return [OBJECT_COLOR] * len(mass)
-    fraction = (mass - mass.min()) / max(np.ptp(mass), np.finfo(float).tiny)
+    log_mass = np.log(mass)
+    fraction = (log_mass - log_mass.min()) / max(np.ptp(log_mass), np.finfo(float).tiny)
     colors = LIGHT_COLOR + fraction[:, None] * (HEAVY_COLOR - LIGHT_COLOR)
     return [(int(r), int(g), int(b)) for r, g, b in colors]

@@ -8,7 +8,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.gym.environments import PushEnvironment
-from gridpush_drake.gym.episode import EpisodeState
+from gridpush_drake.gym.episode import EpisodeState, PushGame
 from gridpush_drake.planning.world import WorldTruth
 from gridpush_drake.pushes.push_log import ObservedPush
 
@@ -21,14 +21,24 @@ class EnvironmentWorld:
 
     Attributes:
         env: the environment.
+        game: its game.
         reward: sum of the rewards so far.
         won: whether the game's aim was reached by the last push.
         over: whether the episode is over.
     """
 
     def __init__(self, env: PushEnvironment, seed: int) -> None:
-        """Begins an episode with a seed."""
+        """Begins an episode with a seed.
+
+        Raises:
+            PlanningError: the actions of the environment's game are no pushes of one object.
+        """
+        if not isinstance(env.game, PushGame):
+            raise PlanningError(
+                f"game: {type(env.game).__name__}; expected one whose actions push one object"
+            )
         self.env = env
+        self.game = env.game
         self.reward = 0.0
         self.won = False
         self.over = False
@@ -37,8 +47,8 @@ class EnvironmentWorld:
     @property
     def episode(self) -> EpisodeState:
         """The present episode."""
-        assert self.env.episode is not None
-        return self.env.episode
+        episode: EpisodeState = self.env.episode
+        return episode
 
     def put(self, pose: ArrayLike) -> None:
         """Puts the object down elsewhere, at a pose (3,), m and rad, and lets the episode go on.
@@ -50,9 +60,8 @@ class EnvironmentWorld:
             PlanningError: the pose is not three finite numbers.
         """
         there = check_vector(PlanningError, "pose", pose, 3)
-        game = self.env.game
-        self.env.episode = game.put(self.episode, there)
-        self.over = game.is_cut_off(self.episode)
+        self.env.episode = self.game.put(self.episode, there)
+        self.over = self.game.is_cut_off(self.episode)
 
     def execute(self, push: Push) -> ObservedPush:
         """Takes the action that comes nearest to a push.

@@ -207,6 +207,11 @@ class Identification(Model):
         return self if self.pushed is None else self.pushed
 
     @property
+    def parts(self) -> tuple["Identification", ...]:
+        """(1,) a model of each object, as `JointIdentification.parts` of several: itself."""
+        return (self,)
+
+    @property
     def fit_starts(self) -> tuple[FitStart, ...]:
         """Places where a fit to more pushes may begin."""
         return self.starts or (FitStart(self.posterior.mean, NoiseScale()),)

@@ -1,6 +1,8 @@
+from .belief import Belief as Belief
 from .closed_loop import LoopOptions as LoopOptions
 from .loop_run import Learner as Learner
 from .loop_run import run_loop as run_loop
+from .plausible_masses import PlausibleMassSet as PlausibleMassSet
 from .push_constraints import PushConstraints as PushConstraints
 from .pushed_object import FeedbackFinger as FeedbackFinger
 from .stable_push import MotionCone as MotionCone

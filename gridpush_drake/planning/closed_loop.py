@@ -91,15 +91,16 @@ class LoopOptions:
             elif not (np.isfinite(value) and value > 0):
                 raise PlanningError(f"{each.name} is {value!r}; expected a positive number")
 
-    def are_of_one_rest(self, poses: Sequence[Pose], pose: Array) -> bool:
+    def are_of_one_rest(self, poses: Sequence[Any], pose: Array) -> bool:
         """Whether a pose may belong to the same rest as others do.
 
         Args:
             poses: the others; their mean counts.
-            pose: (3,) X_WB, m and rad; NaN belongs to no rest.
+            pose: (3,) X_WB, m and rad, or (N, 3) of several; NaN belongs to no rest.
         """
         difference = np.abs(pose - np.mean(poses, axis=0))
-        return bool(difference[:2].max() <= self.rest_distance and difference[2] <= self.rest_angle)
+        moved = difference[..., :2].max()
+        return bool(moved <= self.rest_distance and difference[..., 2].max() <= self.rest_angle)
 
 
 @dataclass(frozen=True)

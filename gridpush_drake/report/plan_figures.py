@@ -19,11 +19,11 @@ from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.push_plan import PushPlan
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlan
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_support_polygon
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import (
     FAINT_COLOR,

@@ -20,8 +20,8 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.exploration.designed_pokes import calc_center_std
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.draw import (
     FONT_SIZE,
@@ -103,7 +103,7 @@ def calc_progress(
     last = estimates[-1]
     obj = last.obj
     stages = [describe_prior(obj, physics=last.physics), *estimates]
-    known = [UncertainModel.of_prior(obj), *(_make_uncertain(found, log) for found in estimates)]
+    known = [Belief.of_prior(obj), *(_make_uncertain(found, log) for found in estimates)]
     errors = []
     if truth is not None:
         center = truth.center_of_mass(obj)
@@ -188,6 +188,6 @@ def _draw_predicted(ax: Axes, progress: Progress) -> None:
     add_legend_below(ax, handles, 1)
 
 
-def _make_uncertain(found: Identification, log: PushLog) -> UncertainModel:
+def _make_uncertain(found: Identification, log: PushLog) -> Belief:
     used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
-    return UncertainModel.of_identification(found, log=used)
+    return Belief.of_identification(found, log=used)

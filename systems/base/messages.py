@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.planning.goal.push_to_goal_loop import ContactPointMode as ContactPointMode
 from gridpush_drake.planning.goal.push_to_goal_loop import ContactPointStatus as ContactPointStatus
+from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspMode as PreGraspMode
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspStatus as PreGraspStatus
 from gridpush_drake.planning.robot_status import GraspOutcome as GraspOutcome
@@ -213,6 +214,23 @@ class GraspCommand(_Command):
     def heading(self) -> NDArray[np.float64]:
         """Unit vector (2,) in W in which the fingers point."""
         return np.array([cos(self.approach), sin(self.approach)])
+
+    @classmethod
+    def from_grasp(
+        cls, command_id: int, grasp: SideGrasp | None, height: float, lift: float
+    ) -> "GraspCommand":
+        """Makes the command for a grasp; no command for None.
+
+        Args:
+            command_id: number of the command, from 1.
+            grasp: the grasp.
+            height: z of the grasp point, m.
+            lift: height to which the object is lifted, m.
+        """
+        if grasp is None:
+            return cls()
+        x, y = grasp.p_WG.tolist()
+        return cls(command_id, x=x, y=y, z=height, approach=grasp.approach, lift=lift)
 
 
 STEER_COMMAND_SIZE = 5

@@ -1,7 +1,8 @@
 """Bases of systems whose state is one Python record, and of controllers that step a closed loop.
 
 `AbstractStateSystem` has one abstract state, a frozen record that is replaced now and then.
-`ObjectController` is one that steps a closed loop (`planning.closed_loop`) over an object.
+`LoopController` is one that steps a closed loop (`planning.closed_loop`) over one object or
+several; `ObjectController` has the ports of one object.
 """
 
 from collections.abc import Callable
@@ -101,42 +102,28 @@ class AbstractStateSystem(LeafSystem, Generic[StateType]):
         output.set_value(show(self._get_state(context)))
 
 
-class ObjectController(AbstractStateSystem[LoopStateType]):
+class LoopController(AbstractStateSystem[LoopStateType]):
     """Base of controllers: steps a closed loop (`planning.closed_loop`) with what is on its ports.
 
     .. pydrake_system::
 
-        name: ObjectController
-        input_ports:
-        - object_pose
-        - identification
-        - push_log
-        - push_status
+        name: LoopController
         output_ports:
         - status
 
-    * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN if the object was not
-      seen.
-    * identification: abstract `Identification`, what was learned; without `push_names` before
-      anything was.
-    * push_log: abstract `PushLog`, all pushes so far; it need not be connected.
-    * push_status: abstract `PushStatus` of the executor of pushes.
     * status: abstract status of the loop, of the loop's own type.
 
     A decision takes long. With an answer delay it is made in a worker, see `systems.base.worker`.
-    Until then the outputs hold, and the decision does not count if the object lies somewhere else
+    Until then the outputs hold, and the decision does not count if an object lies somewhere else
     by then. Abstract state: that of the loop.
     """
 
     __slots__ = NO_SLOTS
 
-    def __init__(
-        self, obj: GridObject, loop: ClosedLoop[LoopStateType], answer_delay: float | None = 0.0
-    ) -> None:
-        """Declares the ports.
+    def __init__(self, loop: ClosedLoop[LoopStateType], answer_delay: float | None = 0.0) -> None:
+        """Declares the state and the status.
 
         Args:
-            obj: the object.
             loop: the loop, which decides what to do.
             answer_delay: time after which a decision is taken, s; None for real time, see
                 `make_worker`.
@@ -146,17 +133,12 @@ class ObjectController(AbstractStateSystem[LoopStateType]):
         """
         super().__init__(loop.begin(), loop.options.period)
         self._worker = make_worker(answer_delay)
-        self.obj = obj
         self.loop = loop
-        self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
-        self._identification = self.DeclareAbstractInputPort(
-            "identification", AbstractValue.Make(describe_prior(obj))
-        )
-        self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(PushLog(())))
-        self._push_status = self.DeclareAbstractInputPort(
-            "push_status", AbstractValue.Make(PushStatus())
-        )
         self._declare_value("status", lambda now: now.status)
+
+    def _observe(self, context: Context) -> Observation:
+        """Returns what is on the input ports."""
+        raise NotImplementedError
 
     def _go_on(self, context: Context, now: LoopStateType) -> LoopStateType:
         seen = self._observe(context)
@@ -187,6 +169,59 @@ class ObjectController(AbstractStateSystem[LoopStateType]):
             return replace(now, filter=now.filter.forget())
         decided: LoopStateType = answer.value
         return decided
+
+
+class ObjectController(LoopController[LoopStateType]):
+    """Base of controllers of one object.
+
+    .. pydrake_system::
+
+        name: ObjectController
+        input_ports:
+        - object_pose
+        - identification
+        - push_log
+        - push_status
+        output_ports:
+        - status
+
+    * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN if the object was not
+      seen.
+    * identification: abstract `Identification`, what was learned; without `push_names` before
+      anything was.
+    * push_log: abstract `PushLog`, all pushes so far; it need not be connected.
+    * push_status: abstract `PushStatus` of the executor of pushes.
+    * status: abstract status of the loop, of the loop's own type.
+
+    Abstract state: that of the loop.
+    """
+
+    __slots__ = NO_SLOTS
+
+    def __init__(
+        self, obj: GridObject, loop: ClosedLoop[LoopStateType], answer_delay: float | None = 0.0
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            obj: the object.
+            loop: the loop, which decides what to do.
+            answer_delay: time after which a decision is taken, s; None for real time, see
+                `make_worker`.
+
+        Raises:
+            PlanningError: the delay is negative.
+        """
+        super().__init__(loop, answer_delay)
+        self.obj = obj
+        self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
+        self._identification = self.DeclareAbstractInputPort(
+            "identification", AbstractValue.Make(describe_prior(obj))
+        )
+        self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(PushLog(())))
+        self._push_status = self.DeclareAbstractInputPort(
+            "push_status", AbstractValue.Make(PushStatus())
+        )
 
     def _observe(self, context: Context) -> Observation:
         """Returns what is on the input ports."""

@@ -5,12 +5,10 @@ It holds no decisions of its own: it is `planning.pregrasp` between ports.
 
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context
 
-from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
@@ -101,8 +99,6 @@ class PreGraspController(ObjectController[PreGraspState]):
         super().__init__(
             planner.obj, PreGraspLoop(planner, find_grasp, seed=seed, options=options), answer_delay
         )
-        self._height = grasp_height
-        self._lift = lift
         self._grasp_status = self.DeclareAbstractInputPort(
             "grasp_status", AbstractValue.Make(GraspStatus())
         )
@@ -111,7 +107,13 @@ class PreGraspController(ObjectController[PreGraspState]):
             PUSH_COMMAND_SIZE,
             lambda now: PushCommand.from_push(now.push_id, now.shown_push).to_vector(),
         )
-        self._declare_vector("grasp_command", GRASP_COMMAND_SIZE, weakly(self._show_grasp))
+        self._declare_vector(
+            "grasp_command",
+            GRASP_COMMAND_SIZE,
+            lambda now: GraspCommand.from_grasp(
+                now.grasp_id, now.grasp, grasp_height, lift
+            ).to_vector(),
+        )
         self._press_status = None
         if weighs:
             self._press_status = self.DeclareAbstractInputPort(
@@ -130,18 +132,3 @@ class PreGraspController(ObjectController[PreGraspState]):
         if self._press_status is None:
             return seen
         return replace(seen, presser=self._press_status.Eval(context))
-
-    def _show_grasp(self, now: PreGraspState) -> NDArray[np.float64]:
-        """Returns the grasp of a state as the vector on the port."""
-        if now.grasp is None:
-            return GraspCommand().to_vector()
-        x, y = now.grasp.p_WG.tolist()
-        command = GraspCommand(
-            command_id=now.grasp_id,
-            x=x,
-            y=y,
-            z=self._height,
-            approach=now.grasp.approach,
-            lift=self._lift,
-        )
-        return command.to_vector()

@@ -14,22 +14,22 @@ from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.robot_status import GraspStatus, PushStatus
 from gridpush_drake.planning.scene.joint_loop import JointLoop, JointState
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.systems.base.messages import PUSH_COMMAND_SIZE, GraspCommand, PushCommand
-from gridpush_drake.systems.base.object_controller import AbstractStateSystem
-
-GRASP_COMMAND_SIZE = len(GraspCommand().to_vector())
-"""Length of a `GraspCommand` as a vector."""
-
+from gridpush_drake.systems.base.messages import (
+    GRASP_COMMAND_SIZE,
+    PUSH_COMMAND_SIZE,
+    GraspCommand,
+    PushCommand,
+)
+from gridpush_drake.systems.base.object_controller import LoopController
 
 NO_LOG = PushLog(())
 """What is shown to the loop of pushes: it keeps its own log."""
 
 
-class SceneController(AbstractStateSystem[JointState]):
+class SceneController(LoopController[JointState]):
     """Pushes several objects, and at last may grasp one, as a `JointLoop` decides.
 
-    One push at a time is commanded, when the executor is ready and all objects lie still. The
-    simulation waits for each decision.
+    One push at a time is commanded, when the executor is ready and all objects lie still.
 
     .. pydrake_system::
 
@@ -72,22 +72,32 @@ class SceneController(AbstractStateSystem[JointState]):
 
     __slots__ = NO_SLOTS
 
-    def __init__(self, loop: JointLoop, *, grasp_height: float = 0.0, lift: float = 0.0) -> None:
+    def __init__(
+        self,
+        loop: JointLoop,
+        *,
+        grasp_height: float = 0.0,
+        lift: float = 0.0,
+        answer_delay: float | None = 0.0,
+    ) -> None:
         """Declares the system.
 
         Args:
             loop: decides what to do.
             grasp_height: height of the grasp above the table, m.
             lift: height to which the object is lifted, m.
+            answer_delay: time after which a decision is taken, s; None for real time, see
+                `worker.make_worker`.
+
+        Raises:
+            PlanningError: the delay is negative.
         """
-        super().__init__(loop.begin(), loop.options.period)
-        self.loop = loop
+        super().__init__(loop, answer_delay)
         count = len(loop.belief.objects)
         self._object_poses = self.DeclareVectorInputPort("object_poses", 3 * count)
         self._push_status = self.DeclareAbstractInputPort(
             "push_status", AbstractValue.Make(PushStatus())
         )
-        self._declare_value("status", lambda now: now.status)
         self._declare_vector(
             "push_command",
             PUSH_COMMAND_SIZE,
@@ -101,7 +111,9 @@ class SceneController(AbstractStateSystem[JointState]):
             self._declare_vector(
                 "grasp_command",
                 GRASP_COMMAND_SIZE,
-                lambda now: _make_grasp_command(now, grasp_height, lift).to_vector(),
+                lambda now: GraspCommand.from_grasp(
+                    now.grasp_id, now.grasp, grasp_height, lift
+                ).to_vector(),
             )
 
         self._declare_estimates(loop)
@@ -131,19 +143,16 @@ class SceneController(AbstractStateSystem[JointState]):
         """Returns what the loop remembers in a Context of this system."""
         return self._get_state(context)
 
-    def _go_on(self, context: Context, now: JointState) -> JointState:
+    def _observe(self, context: Context) -> Observation:
         gripper = GraspStatus()
         if self._grasp_status is not None:
             gripper = self._grasp_status.Eval(context)
-        return self.loop.step(
-            now,
-            Observation(
-                time=context.get_time(),
-                pose=np.reshape(self._object_poses.Eval(context), (-1, 3)),
-                robot=self._push_status.Eval(context),
-                log=NO_LOG,
-                gripper=gripper,
-            ),
+        return Observation(
+            time=context.get_time(),
+            pose=np.reshape(self._object_poses.Eval(context), (-1, 3)),
+            robot=self._push_status.Eval(context),
+            log=NO_LOG,
+            gripper=gripper,
         )
 
 
@@ -153,18 +162,3 @@ def _list_expected(now: JointState) -> Array:
     if asked is None or asked.decision.expected is None:
         return np.full(3 * len(now.belief.objects), np.nan)
     return asked.decision.expected.ravel()
-
-
-def _make_grasp_command(now: JointState, height: float, lift: float) -> GraspCommand:
-    """Makes the command of the grasp that a state asks for."""
-    if now.grasp is None:
-        return GraspCommand()
-    x, y = now.grasp.p_WG.tolist()
-    return GraspCommand(
-        command_id=now.grasp_id,
-        x=x,
-        y=y,
-        z=height,
-        approach=now.grasp.approach,
-        lift=lift,
-    )

@@ -1,6 +1,8 @@
 """`ObjectsPoseEstimator`: tracks several objects in a camera's pictures, a port for each.
 
-It is `SceneTracker` between ports. One object is tracked by `ObjectPoseEstimator`.
+It is `SceneTracker` between ports. One object is tracked by `ObjectPoseEstimator`, which predicts
+it by what is learned meanwhile, and tells its tracker while the finger is too far off to touch it.
+Several objects have neither: made one, the two would be a branch at every step.
 """
 
 from collections.abc import Iterable, Sequence

@@ -20,7 +20,7 @@ from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact import optimize_contact
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 
 obj = GridObject.from_yaml(find_shipped_object("claw_hammer"))

@@ -1,40 +1,20 @@
-"""`gridpush/Follow-v0`: Gymnasium's check, what is seen and rewarded, and how the follower plays it."""
+"""`gridpush/Follow-v0`: what is seen and rewarded, and how the follower plays it."""
 
-import warnings
-
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
-import gridpush_drake.gym  # noqa: F401
 from gridpush_drake.errors import ObjectError, PlanningError
-from gridpush_drake.gym import FollowEnvironment
+from gridpush_drake.gym import PushEnvironment
 from gridpush_drake.gym.following import PATH_LENGTH, STEERED_FINGER, STEP_PERIOD
 from gridpush_drake.planning.feedback import FollowOptions, PushFollower
 
 NAME = "combination_wrench"
 
 
-def test_gymnasium_finds_no_fault():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        made = gymnasium.make("gridpush/Follow-v0", render_mode="rgb_array")
-        check_env(made.unwrapped)
-
-
-def test_many_are_made_by_gymnasium():
-    many = gymnasium.make_vec("gridpush/Follow-v0", 2, vectorization_mode="sync", objects=[NAME])
-    seen, _ = many.reset(seed=3)
-    assert seen["path"].shape == (2, 12, 4)
-    seen, rewards, *_ = many.step(np.zeros((2, 2), dtype=np.float32))
-    assert rewards.shape == (2,)
-
-
 def test_the_same_seed_is_the_same_episode():
     ends = []
     for _ in range(2):
-        env = FollowEnvironment(objects=[NAME])
+        env = PushEnvironment("Follow", objects=[NAME])
         env.reset(seed=5)
         rng = np.random.default_rng(0)
         for _ in range(10):
@@ -46,7 +26,7 @@ def test_the_same_seed_is_the_same_episode():
 
 
 def test_an_action_is_a_velocity_and_poses_come_late():
-    env = FollowEnvironment(objects=[NAME], delay=0.1, missing=0.0)
+    env = PushEnvironment("Follow", objects=[NAME], delay=0.1, missing=0.0)
     seen, info = env.reset(seed=1)
     assert (info["score"], info["is_success"]) == (0.0, False)
     begin = seen["tip"].copy()
@@ -66,7 +46,7 @@ def test_an_action_is_a_velocity_and_poses_come_late():
 
 
 def test_an_episode_is_cut_off():
-    env = FollowEnvironment(objects=[NAME], max_steps=3)
+    env = PushEnvironment("Follow", objects=[NAME], max_steps=3)
     env.reset(seed=1)
     ends = [env.step(np.zeros(2))[2:4] for _ in range(3)]
     assert ends == [(False, False), (False, False), (False, True)]
@@ -74,11 +54,11 @@ def test_an_episode_is_cut_off():
 
 def test_what_makes_no_sense_is_refused():
     with pytest.raises(ObjectError):
-        FollowEnvironment(objects=["teapot"])
+        PushEnvironment("Follow", objects=["teapot"])
     with pytest.raises(PlanningError, match="missing"):
-        FollowEnvironment(missing=2.0)
+        PushEnvironment("Follow", missing=2.0)
     with pytest.raises(PlanningError, match="not a list"):
-        FollowEnvironment(objects=NAME)
+        PushEnvironment("Follow", objects=NAME)
 
 
 def play_follower(env, seed):
@@ -107,7 +87,7 @@ def play_follower(env, seed):
 
 
 def test_the_follower_wins_and_chance_does_not():
-    env = FollowEnvironment(objects=[NAME])
+    env = PushEnvironment("Follow", objects=[NAME])
     info, total = play_follower(env, 2)
     assert info["is_success"]
     assert info["score"] < 0.005
@@ -125,7 +105,7 @@ def test_the_follower_wins_and_chance_does_not():
 
 
 def test_a_picture_shows_path_object_and_finger():
-    env = FollowEnvironment(render_mode="rgb_array", objects=[NAME])
+    env = PushEnvironment("Follow", render_mode="rgb_array", objects=[NAME])
     assert env.render() is None
     env.reset(seed=2)
     picture = env.render()

@@ -1,32 +1,21 @@
-"""The game with several objects: Gymnasium's checker, what a push is worth, and what is refused."""
+"""The game with several objects: what a push is worth, and what is refused."""
 
-import warnings
-
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
-import gridpush_drake.gym  # noqa: F401
 from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.gym.rearranging import PICTURE_SIZE, RearrangeEnvironment
-from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.gym import PushEnvironment
+from gridpush_drake.gym.environments import PICTURE_SIZE
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.scene.rearrangement import RearrangeOptions, RearrangePlanner
 from gridpush_drake.planning.scene.search import SceneSearchOptions
-
-
-def test_the_checker_of_gymnasium_has_nothing_to_say():
-    made = gymnasium.make("gridpush/Rearrange-v0", disable_env_checker=True, count=2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(made.unwrapped, skip_render_check=True)
 
 
 def test_a_seed_gives_an_episode_bit_for_bit():
     runs = []
     for _ in range(2):
-        environment = RearrangeEnvironment(count=2)
+        environment = PushEnvironment("Rearrange", count=2)
         seen, _ = environment.reset(seed=5)
         environment.action_space.seed(1)
         parts = [seen["poses"]]
@@ -39,19 +28,21 @@ def test_a_seed_gives_an_episode_bit_for_bit():
 
 
 def test_our_planner_wins_by_the_games_actions():
-    environment = RearrangeEnvironment("rgb_array", count=2, position_std=0.0, angle_std=0.0)
+    environment = PushEnvironment(
+        "Rearrange", "rgb_array", count=2, position_std=0.0, angle_std=0.0
+    )
     environment.reset(seed=3)
-    objects = [shape.obj for shape in environment.shapes]
+    objects = environment.episode.objects
     search = SceneSearchOptions(
         candidates=24, firsts=3, seconds=8, lengths=(0.008, 0.14), pusher=Pusher(0.01, 0.05)
     )
-    planner = RearrangePlanner(objects, environment.goals, RearrangeOptions(search=search))
-    belief = SceneBelief.of_prior(objects, draws=2)
+    planner = RearrangePlanner(objects, environment.episode.goals, RearrangeOptions(search=search))
+    belief = Belief.of_even_objects(objects, sample_count=2)
     total, ended, steps = 0.0, False, []
     first = environment.render()
     while not ended:
-        decision = planner.decide(environment.world.observe(), belief, steps)
-        action = environment.find_action(decision.body, decision.push)
+        decision = planner.decide(environment.episode.seen, belief, steps)
+        action = environment.episode.find_action(decision.body, decision.push)
         _, reward, terminated, truncated, info = environment.step(action)
         total += reward
         ended = terminated or truncated
@@ -63,10 +54,10 @@ def test_our_planner_wins_by_the_games_actions():
 
 def test_what_is_refused():
     with pytest.raises(PlanningError, match="count is 0"):
-        RearrangeEnvironment(count=0)
+        PushEnvironment("Rearrange", count=0)
     with pytest.raises(PlanningError, match="at least 3 shipped objects"):
-        RearrangeEnvironment(count=3, objects=("pliers",))
-    environment = RearrangeEnvironment(count=1)
+        PushEnvironment("Rearrange", count=3, objects=("pliers",))
+    environment = PushEnvironment("Rearrange", count=1)
     environment.reset(seed=0)
     with pytest.raises(PlanningError, match="action"):
         environment.step(np.array([0.0, np.nan, 0.0, 0.0]))

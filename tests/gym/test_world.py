@@ -60,3 +60,9 @@ def test_an_episode_that_is_over_is_not_seen_and_not_pushed():
     assert world.observe() is None
     with pytest.raises(PlanningError, match="the episode is over"):
         world.execute(push)
+
+
+@pytest.mark.parametrize("game", ["Rearrange", "Follow"])
+def test_a_game_of_other_actions_is_no_world_of_one_object(game):
+    with pytest.raises(PlanningError, match=f"game: {game}; expected one whose actions push one"):
+        EnvironmentWorld(PushEnvironment(game), 0)

@@ -12,7 +12,7 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.statistics.noise import NoiseModel
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shapes import make_shape
 from tests.helpers.simulated_pushes import make_pushes

@@ -11,10 +11,10 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, calc_overhangs
-from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.fetching import (
     CLEARING_KIND,
     FetchLearning,
@@ -58,7 +58,7 @@ def make_planner_of_no_arm(truth):
 def test_first_what_is_in_the_way_is_cleared_away():
     truth = make_truth()
     planner = FetchPlanner(truth.objects, 0, TABLE, seed=1)
-    belief = SceneBelief.of_prior(truth.objects, draws=2)
+    belief = Belief.of_even_objects(truth.objects, sample_count=2)
     decision = planner.decide(truth.poses, belief, [])
     assert decision.kind == CLEARING_KIND and decision.push is not None
     assert "square" in decision.reason and "out of the way of combination_wrench" in decision.reason
@@ -81,7 +81,7 @@ def test_first_what_is_in_the_way_is_cleared_away():
 def test_the_wanted_object_is_learned_only_from_pushes_in_which_nothing_else_moved():
     truth = make_truth()
     world = SimulatedWorld(*truth, TABLE, position_std=0.0005, angle_std=0.003, seed=1)
-    belief = SceneBelief.of_prior(truth.objects, draws=2)
+    belief = Belief.of_even_objects(truth.objects, sample_count=2)
     learning = FetchLearning(0, TABLE, friction_range=(0.3, 0.4))
     low = truth.objects[0].outline.bounds[1]
     x = truth.objects[0].outline.bounds[0] + 0.03
@@ -89,18 +89,18 @@ def test_the_wanted_object_is_learned_only_from_pushes_in_which_nothing_else_mov
     assert learning.learn(belief, [beside], 0) is None
     alone = world.execute(Push((x, low - 0.02), (0.0, 0.05), 0.6, 0.008))
     learned = learning.learn(belief, [beside, alone], 0)
-    assert set(learned.models) == {0}
-    assert len(learned.models[0].poke_starts) == 1
+    assert set(learned.alone) == {0}
+    assert len(learned.alone[0].poke_starts) == 1
     # what is shown of it is what it was learned to be, and of the others what was held before
     wanted, *others = learned.identifications
-    assert wanted is learned.learned_alone[0] and wanted.push_names == (alone.name,)
+    assert wanted is learned.alone[0].identification and wanted.push_names == (alone.name,)
     assert not any(found.push_names for found in others)
 
 
 def test_all_objects_together_are_learned_from_pushes_on_the_table_alone():
     """The model of a scene knows no edge, over which the wanted object hangs at last."""
     truth = make_truth()
-    belief = SceneBelief.of_prior(truth.objects, draws=2)
+    belief = Belief.of_even_objects(truth.objects, sample_count=2)
     shown = []
 
     class Noting:
@@ -124,7 +124,7 @@ def test_the_wanted_object_is_fetched_and_nothing_falls():
     world = SimulatedWorld(*truth, TABLE, position_std=0.0005, angle_std=0.003, seed=1)
     options = FetchOptions(pregrasp=PreGraspOptions(max_arm=0.1))
     planner = FetchPlanner(truth.objects, 0, TABLE, options, seed=1)
-    belief = SceneBelief.of_prior(truth.objects, draws=2)
+    belief = Belief.of_even_objects(truth.objects, sample_count=2)
     learning = FetchLearning(0, TABLE, friction_range=(0.3, 0.4), scene=SceneLearning())
     run = run_task(world, planner, belief, learning=learning, max_pushes=50, seed=1)
     assert run.state.done and run.state.last.action is SceneAction.GRASP, run.state.status.reason
@@ -137,7 +137,7 @@ def test_the_wanted_object_is_fetched_and_nothing_falls():
     for obj, pose in zip(truth.objects[1:], world.truth.pose[1:], strict=True):
         assert TABLE.contains_cells(obj, pose)
     # of the wanted one only pushes are learned from in which nothing else moved
-    assert 0 in run.state.belief.models
+    assert 0 in run.state.belief.alone
 
 
 def test_an_object_alone_at_the_edge_moves_as_its_loads_say():
@@ -162,7 +162,7 @@ def test_what_is_refused():
     with pytest.raises(PlanningError, match="room"):
         FetchOptions(room=0.0)
     planner = make_planner_of_no_arm(truth)
-    belief = SceneBelief.of_prior(truth.objects)
+    belief = Belief.of_even_objects(truth.objects)
     decision = planner.decide(truth.poses, belief, [])
     assert decision.action is SceneAction.FAIL and "square" in decision.reason
     assert "between" in decision.reason

@@ -29,6 +29,7 @@ from gridpush_drake.identification.tilt_tests.weighed_model import believe_befor
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.closed_loop import MAX_FALLBACKS, LoopOptions, Observation, PoseFilter
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.exploration.designed_pokes import PokeOptions
@@ -50,7 +51,6 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     PreGraspMode,
     PreGraspState,
 )
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.robot_status import PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -537,7 +537,7 @@ def test_after_a_surprise_the_margin_must_hold_by_all_that_may_be_true(bounded) 
 
 def test_what_was_learned_is_doubted_but_never_below_what_was_known_before(bounded) -> None:
     found, log, _ = bounded
-    model = UncertainModel.of_identification(found, log=log)
+    model = Belief.of_identification(found, log=log)
     doubted = model.inflate(2.0)
     before, now, after = (
         np.sqrt(np.diag(one))

@@ -10,7 +10,7 @@ from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.fit.hypotheses import SmoothField
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.scene.loop import SceneAction, SceneLearning
 from gridpush_drake.planning.scene.rearrangement import (
     FINE_OPTIONS,
@@ -43,7 +43,7 @@ def make_truth(shapes, poses, seed=0):
 def rearrange(truth, goals, options=COARSE, seed=0, **more):
     world = SimulatedWorld(*truth, TABLE, position_std=0.0005, angle_std=0.003, seed=seed)
     planner = RearrangePlanner(truth.objects, goals, options, SceneRules(TABLE), seed=seed)
-    belief = SceneBelief.of_prior(truth.objects, draws=2, seed=seed)
+    belief = Belief.of_even_objects(truth.objects, sample_count=2, seed=seed)
     return run_task(world, planner, belief, seed=seed, **more), world, planner
 
 
@@ -71,7 +71,7 @@ def test_two_objects_change_places():
 
 def test_threads_choose_the_same_push():
     truth = make_truth(["square", "bar"], [(-0.12, 0, 0), (0.12, 0, 0.3)])
-    belief = SceneBelief.of_prior(truth.objects)
+    belief = Belief.of_even_objects(truth.objects)
     chosen = []
     for workers in (1, 2):
         options = RearrangeOptions(search=replace(QUICK, workers=workers))
@@ -149,7 +149,7 @@ def test_a_push_stops_between_the_steps_of_its_simulation():
         def cost(poses, goal=goal):
             return 1e4 * np.abs(np.hypot(poses[:, 0, 0], poses[:, 0, 1]) - goal)
 
-        search = SceneSearch(SceneBelief.of_truth(truth.bodies), options=one)
+        search = SceneSearch(Belief.of_parameters(truth.bodies), options=one)
         found = search.find_push(truth.poses, cost, [0], np.random.default_rng(seed))
         last = truth.simulate(found.push).final_pose[0]
         assert abs(np.hypot(*last[:2]) - goal) < 5e-4
@@ -164,7 +164,7 @@ def test_a_good_second_push_is_made_at_once():
     def cost(poses):
         return 100.0 * np.hypot(poses[:, 0, 0] - 0.06, poses[:, 0, 1] - 0.06)
 
-    search = SceneSearch(SceneBelief.of_truth(truth.bodies), options=few)
+    search = SceneSearch(Belief.of_parameters(truth.bodies), options=few)
     left = [
         search.find_push(truth.poses, cost, [0], np.random.default_rng(seed)).left
         for seed in range(6)
@@ -180,10 +180,10 @@ def test_draws_surround_what_was_learned():
         learning=SceneLearning(after=(2,), hypotheses=(SmoothField(0.7),)),
     )
     found = run.state.belief.identification
-    assert len(run.state.belief.draws) > 0
+    assert len(run.state.belief.samples) > 0
     log_ratio = [
         np.log(draw.parameters[0].mass / found.parameters[0].mass)
-        for draw in run.state.belief.draws
+        for draw in run.state.belief.samples
     ]
     spread = np.sqrt(np.diag(found.covariance)[: truth.objects[0].n])
     assert 0.2 < np.std(log_ratio) / spread.mean() < 3.0
@@ -219,7 +219,7 @@ def test_an_object_that_no_finger_reaches_is_named_with_what_is_around_it():
         RearrangeOptions(search=huge),
         SceneRules(TABLE),
     )
-    belief = SceneBelief.of_prior(truth.objects)
+    belief = Belief.of_even_objects(truth.objects)
     decision = planner.decide(truth.poses, belief, [])
     assert decision.action is SceneAction.FAIL
     assert "square" in decision.reason and "between bar" in decision.reason

@@ -12,9 +12,9 @@ from gridpush_drake.identification.fit.hypotheses import SmoothField
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.multi_object.joint_fit import JointEnsemble
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.robot_status import (
     GraspOutcome,
     GraspPhase,
@@ -22,7 +22,6 @@ from gridpush_drake.planning.robot_status import (
     PushPhase,
     PushStatus,
 )
-from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.joint_loop import STILL_WORLD, JointLoop, SceneMode
 from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision, SceneLearning
 from gridpush_drake.pushes.push_log import PushLog
@@ -53,13 +52,13 @@ class Counting:
 
     def learn(self, belief, pushes, seed, *, last=False, anew=False):
         self.asked.append((len(pushes), last))
-        return SceneBelief(belief.bodies)
+        return Belief(belief.bodies)
 
 
 def make_loop(decisions, **options):
     objects = [make_shape("square", 20), make_shape("bar", 20)]
     planner = Scripted(decisions)
-    belief = SceneBelief.of_prior(objects, draws=0)
+    belief = Belief.of_even_objects(objects, sample_count=0)
     return JointLoop(planner, belief, **options), planner
 
 
@@ -193,13 +192,13 @@ def test_an_object_that_surprises_clearly_is_learned_anew_at_once():
     truth = make_truth()
     log = PushLog([push_scene(truth, seed) for seed in range(3)], names=("one", "other"))
     found = identify(Model(truth.objects), log, JointEnsemble(NOISE, (SmoothField(0.7),)))
-    alone = {b: UncertainModel.of_prior(truth.objects[b]) for b in range(2)}
-    belief = replace(SceneBelief.of_identification(found, draws=0), models=alone)
+    alone = {b: Belief.of_prior(truth.objects[b]) for b in range(2)}
+    belief = replace(Belief.of_identification(found, sample_count=0), alone=alone)
     asked = []
 
     class Noting:
         def learn(self, belief, pushes, seed, *, last=False, anew=False):
-            asked.append((sorted(belief.models), [seen.name for seen in pushes], anew))
+            asked.append((sorted(belief.alone), [seen.name for seen in pushes], anew))
 
     seen = push_scene(truth, 7)
     for off, changed in ((0.0, False), (0.06, True)):
@@ -217,8 +216,8 @@ def test_an_object_that_surprises_clearly_is_learned_anew_at_once():
 def test_objects_are_learned_by_the_physics_that_they_are_believed_to_obey():
     truth = make_truth()
     physics = Physics(spin="none")
-    belief = SceneBelief.of_prior(truth.objects, draws=1, physics=physics)
-    assert all(bodies.physics == physics for bodies in (belief.bodies, *belief.draws))
+    belief = Belief.of_even_objects(truth.objects, sample_count=1, physics=physics)
+    assert all(bodies.physics == physics for bodies in (belief.bodies, *belief.samples))
     learning = SceneLearning(after=(1,), hypotheses=(SmoothField(0.7),))
     learned = learning.learn(belief, [push_scene(truth, 0)], 0)
     assert learned.bodies.physics.spin == "none" and learned.identification is not None

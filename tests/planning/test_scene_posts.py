@@ -10,7 +10,7 @@ from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.scene.loop import SceneAction
 from gridpush_drake.planning.scene.rearrangement import RearrangeOptions, RearrangePlanner
 from gridpush_drake.planning.scene.rules import POST_LEEWAY, POST_MARGIN, SceneRules, place_outlines
@@ -55,7 +55,7 @@ def test_a_push_stops_before_an_object_comes_to_a_post(bar):
     (obj,) = bar.objects
     right = obj.outline.bounds[2]
     post = make_post(right + 0.05 + RADIUS, 0.0)
-    belief = SceneBelief(bar.bodies)
+    belief = Belief(bar.bodies)
 
     def find(rules):
         search = SceneSearch(belief, rules, QUICK)
@@ -73,7 +73,7 @@ def test_a_push_stops_before_an_object_comes_to_a_post(bar):
 
 def test_what_lies_at_a_post_is_pushed_away_from_it(bar):
     post = make_post(bar.objects[0].outline.bounds[2] + 0.004 + RADIUS, 0.0)
-    search = SceneSearch(SceneBelief(bar.bodies), make_rules(post), QUICK)
+    search = SceneSearch(Belief(bar.bodies), make_rules(post), QUICK)
     rng = np.random.default_rng(1)
     found = search.find_push(bar.poses, lambda poses: 100.0 * poses[:, 0, 0], [0], rng)
     before, after = calc_distances(bar, [bar.poses, found.poses], post)[:, 0]
@@ -99,7 +99,7 @@ def test_objects_are_separated_beside_a_post(seed):
     rules = make_rules(post)
     world = SimulatedWorld(*truth, TABLE, position_std=0.0005, angle_std=0.003, seed=seed)
     planner = SeparatePlanner(truth.objects, SeparationOptions(search=QUICK), rules, seed=seed)
-    belief = SceneBelief.of_prior(truth.objects, draws=2, seed=seed)
+    belief = Belief.of_even_objects(truth.objects, sample_count=2, seed=seed)
     run = run_task(world, planner, belief, seed=seed)
     assert run.state.done and run.state.last.action is SceneAction.DONE
     # whatever their masses are, no object was pushed against it

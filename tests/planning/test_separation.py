@@ -8,7 +8,7 @@ from shapely import Point
 
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.scene.loop import SceneAction
 from gridpush_drake.planning.scene.rules import SceneRules
 from gridpush_drake.planning.scene.separation import (
@@ -32,7 +32,7 @@ def test_objects_are_separated(seed):
     assert calc_clearances(truth.objects, truth.poses).min() < 0.002
     options = SeparationOptions(search=replace(SEARCH, candidates=25))
     planner = SeparatePlanner(truth.objects, options, seed=seed)
-    believed = SceneBelief.of_truth(Bodies(truth.objects))
+    believed = Belief.of_parameters(Bodies(truth.objects))
     worlds = [SimulatedWorld(*truth) for _ in range(2)]
     first, again = (run_task(world, planner, believed) for world in worlds)
     assert first.state.done
@@ -44,7 +44,7 @@ def test_nothing_is_done_where_there_is_room():
     truth, _ = make_row(0, ["square", "bar"], cells=20)
     poses = truth.poses + [[0, 0, 0], [1, 0, 0]]
     planner = SeparatePlanner(truth.objects)
-    decision = planner.decide(poses, SceneBelief.of_truth(truth.bodies), [])
+    decision = planner.decide(poses, Belief.of_parameters(truth.bodies), [])
     assert decision.action is SceneAction.DONE and decision.push is None
 
 
@@ -57,7 +57,7 @@ def test_what_is_refused():
     planner = SeparatePlanner(
         truth.objects, SeparationOptions(search=replace(SEARCH, candidates=4)), far
     )
-    decision = planner.decide(truth.poses, SceneBelief.of_truth(truth.bodies), [])
+    decision = planner.decide(truth.poses, Belief.of_parameters(truth.bodies), [])
     assert decision.action is SceneAction.FAIL
     assert "square, bar: no place was found where a finger of 8 mm fits" in decision.reason
 
@@ -67,7 +67,7 @@ def test_a_push_apart_is_planned_by_itself():
     planner = SeparatePlanner(
         truth.objects, SeparationOptions(search=replace(SEARCH, candidates=12)), seed=1
     )
-    decision = planner.decide(truth.poses, SceneBelief.of_truth(truth.bodies), [])
+    decision = planner.decide(truth.poses, Belief.of_parameters(truth.bodies), [])
     after = truth.simulate(decision.push).final_pose
     before = calc_clearances(truth.objects, truth.poses).min()
     assert calc_clearances(truth.objects, after).min() > before + 0.01
@@ -81,7 +81,7 @@ def test_objects_are_separated_in_a_world_and_stay_on_its_table():
     world = SimulatedWorld(*truth, table, position_std=0.0005, angle_std=0.003, seed=2)
     options = SeparationOptions(search=replace(SEARCH, candidates=12))
     planner = SeparatePlanner(truth.objects, options, SceneRules(table), seed=2)
-    belief = SceneBelief.of_prior(truth.objects, draws=2)
+    belief = Belief.of_even_objects(truth.objects, sample_count=2)
     run = run_task(world, planner, belief, seed=2)
     assert run.state.done and run.state.last.action is SceneAction.DONE
     assert calc_clearances(truth.objects, world.truth.pose).min() > options.margin - 0.003

@@ -14,6 +14,7 @@ from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.tilt_tests.weighed_model import believe_before, estimate_masses
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.loop_run import LoopRun, run_loop
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
@@ -21,7 +22,6 @@ from gridpush_drake.planning.pregrasp.goals import ArmLimits
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.pregrasp.weighing_planner import TiltTestPlanner, list_edges
 from gridpush_drake.planning.robot_status import PressStatus, PressStep, PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -62,7 +62,7 @@ def make_model(obj, covariance):
     """A model of an object that was pressed once, with a covariance (4, 4) of what is believed."""
     found = describe_prior(obj.forget())
     belief = replace(believe_before(found), covariance=covariance, presses=1)
-    return replace(UncertainModel.of_identification(found), belief=belief)
+    return replace(Belief.of_identification(found), absolute=belief)
 
 
 def choose_press(model, pose=(0.0, 0.0, 0.0), planner=None):
@@ -482,7 +482,7 @@ def test_a_planner_weighs_where_the_other_gives_up():
     belief = replace(
         believe_before(found), covariance=np.diag([0.9, 0.018**2, 0.006**2, 0.1]), presses=1
     )
-    model = replace(UncertainModel.of_identification(found), belief=belief)
+    model = replace(Belief.of_identification(found), absolute=belief)
     options = PreGraspOptions(max_pokes=0, min_pokes=0)
     plain = PreGraspPlanner(obj, surface, options)
     weighing = TiltTestPlanner(obj, surface, options)
@@ -547,7 +547,7 @@ def test_a_planner_weighs_a_heavy_object_where_it_is_expected_to_tilt():
             covariance=np.diag([0.9, 0.018**2, 0.006**2, 0.1]),
             presses=1,
         )
-        model = replace(UncertainModel.of_identification(found), belief=belief)
+        model = replace(Belief.of_identification(found), absolute=belief)
         rests = [
             planner._list_placements(inside, model, belief, is_robust)
             for is_robust in (True, False)
@@ -558,7 +558,7 @@ def test_a_planner_weighs_a_heavy_object_where_it_is_expected_to_tilt():
 def test_a_weighed_model_leaves_the_center_of_mass_where_it_was_weighed():
     obj = replace(BAR, prior=replace(BAR.prior, friction_min=0.1, friction_max=0.9))
     found = describe_prior(obj)
-    wide = UncertainModel.of_identification(found)
+    wide = Belief.of_identification(found)
     assert wide.weighed is None
     sure = replace(
         believe_before(found),
@@ -566,7 +566,7 @@ def test_a_weighed_model_leaves_the_center_of_mass_where_it_was_weighed():
         covariance=np.diag([0.01**2, 0.001**2, 0.002**2, 0.1]),
         presses=3,
     )
-    weighed = UncertainModel.of_identification(replace(found, absolute=sure))
+    weighed = Belief.of_identification(replace(found, absolute=sure))
     corners = weighed.masses.center_of_mass_polygon
     np.testing.assert_allclose(corners.min(axis=0), [0.0165, -0.007], atol=2e-4)
     np.testing.assert_allclose(corners.max(axis=0), [0.0235, 0.007], atol=2e-4)
@@ -635,7 +635,7 @@ def test_presses_that_weigh_nothing_suppose_a_heavier_object_and_end_at_last():
     belief = replace(
         believe_before(found), covariance=np.diag([0.9, 0.018**2, 0.006**2, 0.1]), presses=1
     )
-    model = replace(UncertainModel.of_identification(found), belief=belief)
+    model = replace(Belief.of_identification(found), absolute=belief)
     options = PreGraspOptions(min_pokes=0, max_pokes=0)
     at_edge = np.array([0.4, 0.0, 0.0])
     plain = PreGraspPlanner(obj, loop.planner.surface, options)
@@ -667,7 +667,7 @@ def test_where_the_arm_cannot_press_nothing_is_planned():
     belief = replace(
         believe_before(found), covariance=np.diag([0.9, 0.018**2, 0.006**2, 0.1]), presses=1
     )
-    model = replace(UncertainModel.of_identification(found), belief=belief)
+    model = replace(Belief.of_identification(found), absolute=belief)
     surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
     asked = []
 
@@ -694,7 +694,7 @@ def test_slides_go_to_where_the_object_is_stable_before_other_places():
     belief = replace(
         believe_before(found), covariance=np.diag([0.9, 0.008**2, 0.01**2, 0.1]), presses=1
     )
-    model = replace(UncertainModel.of_identification(found), belief=belief)
+    model = replace(Belief.of_identification(found), absolute=belief)
     planner = TiltTestPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
     pose = np.array([0.0, 0.1, 1.96])
     rests = planner._list_placements(pose, model, belief)
@@ -745,8 +745,8 @@ def test_weighings_that_contradict_each_other_are_not_planned_with():
     weighed = estimate_masses(found, MassTestLog((press, turned), lifts))
     assert weighed.absolute.contradictory and weighed.weighed is None
     np.testing.assert_array_equal(weighed.params.mass, found.params.mass)
-    model = UncertainModel.of_identification(weighed)
-    before = UncertainModel.of_identification(found)
+    model = Belief.of_identification(weighed)
+    before = Belief.of_identification(found)
     assert model.weighed is None and model.presses == 2
     np.testing.assert_array_equal(
         model.masses.center_of_mass_polygon, before.masses.center_of_mass_polygon
@@ -755,8 +755,8 @@ def test_weighings_that_contradict_each_other_are_not_planned_with():
     margins = [calc_stability_margin(one.masses, np.zeros(3), surface) for one in (model, before)]
     assert margins[0] == margins[1]
     # What is next to be pressed is as before the first press; so the presses are repeated.
-    np.testing.assert_array_equal(model.belief.mean, before.belief.mean)
-    np.testing.assert_array_equal(model.belief.covariance, before.belief.covariance)
+    np.testing.assert_array_equal(model.absolute.mean, before.absolute.mean)
+    np.testing.assert_array_equal(model.absolute.covariance, before.absolute.covariance)
     assert "contradict each other" in weighed.identifiability.statements[0]
     # But not for ever.
     planner = TiltTestPlanner(BAR, surface, PreGraspOptions())

@@ -12,10 +12,10 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.exploration.designed_pokes import make_pokes
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -144,7 +144,7 @@ def test_the_radius_that_is_assumed_is_the_shipped_finger_s_in_learning_and_plan
         known = replace(obj, prior=replace(obj.prior, pusher_radius=told, push_height=None))
         even = CellParameters.uniform(known)
         plan = optimize_contact(Model(known, even), np.zeros(3), [0.05, 0.0, 0.0])
-        poke = make_pokes(UncertainModel.of_parameters(Model(known, even)), np.zeros(3))[0]
+        poke = make_pokes(Belief.of_parameters(Model(known, even)), np.zeros(3))[0]
         assert plan.push.push.radius == poke.radius == radius
     # Whoever knows better says so.
     thin = optimize_contact(

@@ -24,7 +24,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import (
     calc_round_length,

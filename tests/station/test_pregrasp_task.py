@@ -9,9 +9,9 @@ from gridpush_drake.errors import ScenarioError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import find_side_grasps
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.station.robot.robot import make_robot_directives
 from gridpush_drake.station.schema.scenario import PushScenario
 from gridpush_drake.station.schema.scenario_file import read_scenario
@@ -50,7 +50,7 @@ def test_a_toolbox_is_taken_by_its_handle_only_where_the_pads_hold_it_there():
     for heavy_bar, taken in ((1.0, False), (200.0, True)):
         mass = np.where(obj.p_BC[:, 1] > 0.06, heavy_bar, 1.0)
         params = CellParameters(mass * 3.4 / mass.sum(), np.full(obj.n, 0.35))
-        masses = UncertainModel.of_parameters(Model(obj, params)).masses
+        masses = Belief.of_parameters(Model(obj, params)).masses
         assert task.planner.limits.can_grasp(goal, masses) == taken
 
 

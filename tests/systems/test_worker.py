@@ -14,19 +14,24 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.exploration import RandomPokeOptions, RandomPokes
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.scene.joint_loop import JointLoop
+from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.systems.base.messages import ContactPointMode, PushStatus
 from gridpush_drake.systems.base.worker import Worker, make_worker
 from gridpush_drake.systems.control.poke_policy import PokePolicy
+from gridpush_drake.systems.control.scene_controller import SceneController
 from gridpush_drake.systems.learning.grid_identifier import GridIdentifier
 from tests.helpers.goal_diagram import Run, make_run
 from tests.helpers.made_identifications import make_block
@@ -343,3 +348,40 @@ def test_a_controller_whose_worker_raises_fails_and_says_why() -> None:
     status = run.go_on_until(is_over, 5.0)
     assert status.mode == ContactPointMode.FAILED
     assert status.reason == "No decision could be made: RuntimeError: no such arm."
+
+
+class PushingOne:
+    """A planner of several objects that always wants the same push."""
+
+    def decide(self, poses, belief, steps) -> SceneDecision:
+        push = Push((-0.2, 0.0), (0.05, 0.0), 1.0, 0.008)
+        return SceneDecision(SceneAction.PUSH, "go on", push=push, body=0)
+
+
+@pytest.mark.parametrize(
+    ("seen_later", "commanded"), [((0.0, 2 * np.pi), True), ((0.02, 0.0), False)]
+)
+def test_a_decision_for_several_objects_is_taken_late_too(seen_later, commanded) -> None:
+    """It counts although a heading jumps by a turn meanwhile, but not where an object moves."""
+    objects = [make_block(12), make_block(12)]
+    loop = JointLoop(PushingOne(), Belief.of_even_objects(objects, sample_count=0))
+    controller = SceneController(loop, answer_delay=0.3)
+    simulator = Simulator(controller)
+    context = simulator.get_mutable_context()
+    port = controller.GetInputPort("object_poses")
+    poses = np.array([[0.0, 0.0, 0.1], [0.3, 0.0, 3.0]])
+    port.FixValue(context, poses.ravel())
+    controller.GetInputPort("push_status").FixValue(context, AbstractValue.Make(PushStatus()))
+
+    def get_command() -> float:
+        return controller.GetOutputPort("push_command").Eval(context)[0]
+
+    while get_state(context).request is None:
+        simulator.AdvanceTo(context.get_time() + 0.05)
+    asked = get_state(context).request.time
+    dx, turn = seen_later
+    port.FixValue(context, (poses + [[0.0, 0.0, 0.0], [dx, 0.0, turn]]).ravel())
+    simulator.AdvanceTo(asked + 0.26)
+    assert get_command() == 0
+    simulator.AdvanceTo(asked + 0.31)
+    assert get_command() == float(commanded)

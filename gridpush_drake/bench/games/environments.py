@@ -46,7 +46,6 @@ try:
     from gridpush_drake.gym.episode import FRICTION_RANGE
     from gridpush_drake.gym.games import (
         FILTER_ITERATIONS,
-        GAME_CLASSES,
         GOAL_TOLERANCE,
         HELD_OUT,
         MAX_ARM,
@@ -132,7 +131,7 @@ class GymBenchOptions(StudyOptions):
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the games."""
-        return tuple(self.games or GAME_CLASSES)
+        return tuple(self.games or PLANNER_EPISODES)
 
 
 @dataclass(frozen=True)
@@ -195,8 +194,8 @@ def shorten(options: GymBenchOptions) -> GymBenchOptions:
     return replace(
         options,
         episodes=QUICK_EPISODES,
-        generations=dict.fromkeys(GAME_CLASSES, QUICK_GENERATIONS),
-        steps=dict.fromkeys(GAME_CLASSES, QUICK_STEPS),
+        generations=dict.fromkeys(PLANNER_EPISODES, QUICK_GENERATIONS),
+        steps=dict.fromkeys(PLANNER_EPISODES, QUICK_STEPS),
     )
 
 
@@ -230,7 +229,7 @@ def make_jobs(options: GymBenchOptions) -> list[GameJob]:
 
 
 def _check(options: GymBenchOptions) -> None:
-    check_known("games", options.names, tuple(GAME_CLASSES))
+    check_known("games", options.names, tuple(PLANNER_EPISODES))
     # That it is missing is said now, and not after minutes of other jobs.
     import_extra("cma", "baselines")
 
@@ -359,7 +358,7 @@ def _hide(obj: GridObject) -> GridObject:
 def _push_to_goal(world: EnvironmentWorld, seed: int) -> None:
     """Pushes the object to its goal, and learns it on the way."""
     episode = world.episode
-    game = world.env.game
+    game = world.game
     assert episode.goal is not None
     constraints = PushConstraints(game.surface, finger_inset=-FINGER_OPTIONS.distance_range[1])
     rules = GoalRules(
@@ -373,7 +372,7 @@ def _push_to_goal(world: EnvironmentWorld, seed: int) -> None:
 def _slide_to_edge(world: EnvironmentWorld, seed: int) -> None:
     """Pokes the object, and slides a part of it over the edge."""
     obj = _hide(world.episode.shape.obj)
-    surface = world.env.game.surface
+    surface = world.game.surface
     planner = PreGraspPlanner(obj, surface, PreGraspOptions(max_arm=MAX_ARM, slide=SLIDE_OPTIONS))
     loop = PreGraspLoop(
         planner,

@@ -26,10 +26,10 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.loop_run import LoopRun, run_loop
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
-from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.fetching import FetchLearning, FetchOptions, FetchPlanner
 from gridpush_drake.planning.scene.joint_loop import STILL_WORLD, JointLoop, JointState
 from gridpush_drake.planning.scene.loop import (
@@ -291,7 +291,7 @@ def carry_out(
     )
     loop = JointLoop(
         planner,
-        SceneBelief.of_prior(truth.objects, seed=job.seed),
+        Belief.of_even_objects(truth.objects, seed=job.seed),
         learning=learning,
         max_pushes=MAX_PUSHES[job.part],
         options=STILL_WORLD,

@@ -1,7 +1,7 @@
 """What bounds of the friction decide in pre-grasp sliding, whether they hold or not.
 
 Pushes show each cell's relative friction alone, and bounds of the friction turn it into masses that
-the object may have (`planning.pregrasp.uncertainty`). Here that relative friction is known exactly,
+the object may have (`planning.plausible_masses`). Here that relative friction is known exactly,
 so that nothing but the bounds is in doubt: is there a goal that is safe for all those masses, and
 does the object stay put there with its true ones? No method that rests on bounds does better.
 Objects of rubber and steel are told bounds that hold, and others that do not.
@@ -17,10 +17,10 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.goals import GoalOptions, find_pregrasp_goals
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import GraspPart
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.table import Column, Proportion, Table
 from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE

@@ -18,15 +18,14 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.exploration.designed_pokes import (
     DesignedPokes,
-    PokeBelief,
     PokeOptions,
     make_center_functional,
     make_pokes,
 )
 from gridpush_drake.planning.exploration.strategy import PokeProposal, PokeStrategy
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -211,7 +210,7 @@ class DrawnPokes:
     options: PokeOptions
     rng: np.random.Generator
 
-    def propose(self, belief: PokeBelief, pose: ArrayLike, rules: PushConstraints) -> PokeProposal:
+    def propose(self, belief: Belief, pose: ArrayLike, rules: PushConstraints) -> PokeProposal:
         """Proposes the next poke, see `PokeStrategy`."""
         pokes = make_pokes(belief, pose, self.options, rules)
         if not pokes:
@@ -223,7 +222,7 @@ def _poke(
     obj: GridObject,
     truth: CellParameters,
     wanted: Array,
-    strategy: PokeStrategy[UncertainModel, PushConstraints],
+    strategy: PokeStrategy[Belief, PushConstraints],
     rng: np.random.Generator,
     *,
     keeps_apart: bool,
@@ -240,7 +239,7 @@ def _poke(
     """
     center = wanted @ truth.center_of_mass(obj)
     found = None
-    model = UncertainModel.of_prior(obj)
+    model = Belief.of_prior(obj)
     pose = np.zeros(3)
     world = SimulatedWorld(Model(obj, truth), pose)
     log = list[ObservedPush]()
@@ -262,7 +261,7 @@ def _poke(
         # What was learned, and how far off it is.
         seen = PushLog(tuple(log))
         found = identify(Model(obj), seen, regime="quasi_static", start=found)
-        model = UncertainModel.of_identification(found, log=seen if keeps_apart else None)
+        model = Belief.of_identification(found, log=seen if keeps_apart else None)
         covariance = wanted @ found.identifiability.center_of_friction_covariance @ wanted.T
         off = wanted @ found.identifiability.center_of_friction - center
         std = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))

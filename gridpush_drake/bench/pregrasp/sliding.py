@@ -19,8 +19,8 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import PushWorld
 from gridpush_drake.report.table import Column, Table, calc_mean, count_of, mean_of
@@ -217,7 +217,7 @@ def run_method(world: PushWorld, planner: PreGraspPlanner, method: str) -> PreGr
         hidden = world.truth.bodies
         assert hidden is not None
         params = hidden.params
-    granted = UncertainModel.of_parameters(Model(planner.obj, params))
+    granted = Belief.of_parameters(Model(planner.obj, params))
     return run_pregrasp(world, planner, None, lambda found, log: granted)
 
 

@@ -25,6 +25,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.loop_run import Learn, Learner, run_loop
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
@@ -36,7 +37,6 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     PreGraspMode,
     PreGraspState,
 )
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.planning.world import (
     FALLEN_TILT,
@@ -357,13 +357,13 @@ class PaperLearner:
         At first that is what the posterior says of the pokes, and then the parameters as they are.
         """
 
-        def infer(found: Identification | None, log: PushLog) -> UncertainModel | None:
+        def infer(found: Identification | None, log: PushLog) -> Belief | None:
             if found is None:
                 return None
             if len(DEFAULT_LEARNER.select(log)) < self.min_pokes:
                 names = found.push_names
                 used = log.subset([i for i, seen in enumerate(log) if seen.name in names])
-                return UncertainModel.of_identification(found, log=used)
-            return UncertainModel.of_parameters(Model(obj, found.params))
+                return Belief.of_identification(found, log=used)
+            return Belief.of_parameters(Model(obj, found.params))
 
         return infer

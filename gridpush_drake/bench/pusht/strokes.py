@@ -126,7 +126,7 @@ def play_strokes(job: PrimitiveEpisode) -> StrokesPlayed:
         params = first.params
     elif job.player == TRUE:
         params = episode.hidden
-    game = world.env.game
+    game = world.game
     rules = GoalRules(
         PushConstraints(game.surface, finger_inset=-FINGER_OPTIONS.distance_range[1]),
         FINGER_OPTIONS,

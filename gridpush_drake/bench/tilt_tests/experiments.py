@@ -54,11 +54,11 @@ from gridpush_drake.objects.object_file import (
     list_shipped_objects,
 )
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import find_grasp_parts
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.pregrasp.weighing_planner import TiltTestPlanner
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.plan import Edge, PlannedPress
@@ -464,9 +464,9 @@ def weigh_at_edge(
     return known, course
 
 
-def make_model(known: Identification, pushes: PushLog) -> UncertainModel:
+def make_model(known: Identification, pushes: PushLog) -> Belief:
     """Makes the model by which presses are planned, with any friction taken for possible."""
-    return UncertainModel.of_identification(known, friction_range=FRICTION_RANGE, log=pushes)
+    return Belief.of_identification(known, friction_range=FRICTION_RANGE, log=pushes)
 
 
 def lay_at_edge(planned: PlannedPress) -> Array:

@@ -26,8 +26,8 @@ from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.exploration.designed_pokes import DesignedPokes, PokeOptions
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -59,7 +59,7 @@ def choose_pushes(made: TruthSet, world: MujocoWorld, count: int) -> PushLog:
     Raises:
         GridPushError: no push touches the body.
     """
-    model = UncertainModel.of_prior(made.obj)
+    model = Belief.of_prior(made.obj)
     found = None
     seen = list[ObservedPush]()
     while len(seen) < count:
@@ -69,11 +69,11 @@ def choose_pushes(made: TruthSet, world: MujocoWorld, count: int) -> PushLog:
         if len(seen) < count:
             log = PushLog(tuple(seen))
             found = identify(Model(made.obj), log, start=found)
-            model = UncertainModel.of_identification(found, log=log)
+            model = Belief.of_identification(found, log=log)
     return PushLog(tuple(seen))
 
 
-def _choose_push(model: UncertainModel, radius: float) -> Push:
+def _choose_push(model: Belief, radius: float) -> Push:
     """Chooses the push that is expected to tell most, by a disc of a radius, m."""
     for separation in PUSH_SEPARATIONS:
         options = PokeOptions(

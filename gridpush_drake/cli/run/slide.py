@@ -14,7 +14,9 @@ from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.exploration.designed_pokes import PokeOptions
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import FlatPart, find_held_grasps
@@ -26,7 +28,6 @@ from gridpush_drake.planning.pregrasp.pregrasp_plan import (
     plan_pregrasp,
 )
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import to_png
 from gridpush_drake.report.plan_figures import draw_slide
@@ -160,9 +161,9 @@ def slide(
         )
     options.compile_kernels()
     if target.model is None:
-        uncertain = UncertainModel.of_prior(target.obj, friction_range=bounds)
+        uncertain = Belief.of_prior(target.obj, friction_range=bounds)
     else:
-        uncertain = UncertainModel.of_identification(target.model, friction_range=bounds)
+        uncertain = Belief.of_identification(target.model, friction_range=bounds)
     plan = plan_pregrasp(planner, uncertain, pose)
     found = _describe(planner, plan, "learned" if target.model else "prior")
     found["written"] = [str(path) for path in (out, picture) if path is not None]

@@ -27,9 +27,9 @@ from gridpush_drake.dynamics.warm_up import (
 )
 from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.contact import contact_kernels, optimize_contact
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp import stability
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 
 SECOND_PROCESS_CODE = "from gridpush_drake.cli.shell.kernels import compile_apart; compile_apart()"

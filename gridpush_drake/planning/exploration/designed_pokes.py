@@ -19,14 +19,12 @@ known least (Bayesian linear design by its worst direction: Chaloner and Verdine
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.motion import MotionStatus
-from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER, Pusher
 from gridpush_drake.dynamics.simulation import simulate
@@ -34,60 +32,18 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.statistics.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.statistics.posterior import Posterior, calc_center_jacobian
+from gridpush_drake.identification.statistics.posterior import calc_center_jacobian
 from gridpush_drake.identification.statistics.problem import PushProblem
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
 from gridpush_drake.planning.exploration.strategy import PokeProposal
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-
-class PokeBelief(Protocol):
-    """What is believed of an object that pokes are designed for, such as an `UncertainModel`."""
-
-    @property
-    def obj(self) -> GridObject:
-        """The object."""
-
-    @property
-    def params(self) -> CellParameters:
-        """The estimate, by which motions are predicted."""
-
-    @property
-    def physics(self) -> Physics:
-        """The physics by which motions are predicted."""
-
-    @property
-    def noise(self) -> NoiseModel:
-        """The noise of what pushes show, before `noise_scale`."""
-
-    @property
-    def noise_scale(self) -> NoiseScale:
-        """By how much larger than `noise` the pushes were found to scatter."""
-
-    @property
-    def friction_range(self) -> tuple[float, float] | None:
-        """Least and greatest friction coefficient of any cell; the object's own where None."""
-
-    @property
-    def poke_starts(self) -> Array:
-        """(K, 2) where the finger's center was as earlier pushes began, body frame, m."""
-
-    @property
-    def posterior(self) -> Posterior | None:
-        """The posterior of z; None where the parameters are taken for granted."""
-
-    def require_posterior(self) -> Posterior:
-        """The posterior of z, which a poke can narrow; a PlanningError where there is none."""
-
-
-Functional = Callable[[PokeBelief], Array]
+Functional = Callable[[Belief], Array]
 """Function that calculates F (m, n+1), the derivatives by z of what matters, for a belief."""
 
-Forecast = Callable[[PokeBelief, Push, ArrayLike], float | None]
+Forecast = Callable[[Belief, Push, ArrayLike], float | None]
 """Function that forecasts, for the poke that was chosen, the standard deviation that it leaves, m.
 It takes the belief, the poke and the object's pose (3,), and returns None where it cannot tell."""
 
@@ -140,7 +96,7 @@ class DesignedPokes:
     cut: Cut | None = None
     forecast: Forecast | None = None
 
-    def propose(self, belief: PokeBelief, pose: ArrayLike, rules: PushConstraints) -> PokeProposal:
+    def propose(self, belief: Belief, pose: ArrayLike, rules: PushConstraints) -> PokeProposal:
         """Proposes the next poke, see `PokeStrategy`.
 
         Raises:
@@ -166,7 +122,7 @@ class DesignedPokes:
 
 
 def make_pokes(
-    model: PokeBelief,
+    model: Belief,
     pose: ArrayLike,
     options: PokeOptions | None = None,
     constraints: PushConstraints | None = None,
@@ -218,7 +174,7 @@ def make_pokes(
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def rate_pokes(
-    model: PokeBelief, pose: ArrayLike, pokes: Sequence[Push], F: Array
+    model: Belief, pose: ArrayLike, pokes: Sequence[Push], F: Array
 ) -> tuple[float, Array]:
     """Calculates how well what matters is known now, and how well after each of K pokes.
 
@@ -244,7 +200,7 @@ def rate_pokes(
     return calc_worst_std(F @ S @ F.T), stds
 
 
-def calc_observation(model: PokeBelief, push: Push, pose: ArrayLike) -> tuple[Array, Array] | None:
+def calc_observation(model: Belief, push: Push, pose: ArrayLike) -> tuple[Array, Array] | None:
     """Calculates what the end of a push would show of z.
 
     Args:
@@ -289,7 +245,7 @@ def calc_worst_std(covariance: Array) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
-def make_center_functional(model: PokeBelief, direction: ArrayLike | None = None) -> Array:
+def make_center_functional(model: Belief, direction: ArrayLike | None = None) -> Array:
     """Derivatives by z of the center of friction, m.
 
     Args:
@@ -303,7 +259,7 @@ def make_center_functional(model: PokeBelief, direction: ArrayLike | None = None
     return F if direction is None else np.asarray(direction, dtype=np.float64)[None] @ F
 
 
-def make_farthest_functional(model: PokeBelief, direction: ArrayLike) -> Array:
+def make_farthest_functional(model: Belief, direction: ArrayLike) -> Array:
     """Derivatives by z of how far the center of mass can be along a direction, m.
 
     How far it can be is limited by the bounds of the friction coefficients. The more of the
@@ -329,7 +285,7 @@ def make_farthest_functional(model: PokeBelief, direction: ArrayLike) -> Array:
     return np.asarray(d[None] @ calc_center_jacobian(mass / mass.sum(), model.obj.p_BC))
 
 
-def calc_center_std(model: PokeBelief) -> float:
+def calc_center_std(model: Belief) -> float:
     """Standard deviation of the center of friction in the direction in which it is known least, m.
 
     It is 0 where the parameters are taken for granted.

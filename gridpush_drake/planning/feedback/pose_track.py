@@ -90,7 +90,7 @@ class TrackOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class FilteredState:
     """Where the object was at a time, and how sure that is.
 
     Attributes:
@@ -134,9 +134,9 @@ class PoseTrack:
         self.moved = 0.0
         self.disturbances = 0
         self._arm = arm
-        self._believed = Belief(-np.inf, np.zeros(STATE_SIZE), np.zeros(3))
+        self._believed = FilteredState(-np.inf, np.zeros(STATE_SIZE), np.zeros(3))
         # an outlier that the next pose may agree with
-        self._pending: Belief | None = None
+        self._pending: FilteredState | None = None
         # sums of the response, and the way over which they were made
         self._expected = 0.0
         self._followed = 0.0
@@ -224,7 +224,7 @@ class PoseTrack:
         self._pending = self._begin(time, seen)
         return False
 
-    def _carry(self, model: PushedModel, belief: Belief, time: float) -> Belief:
+    def _carry(self, model: PushedModel, belief: FilteredState, time: float) -> FilteredState:
         """Carries a belief on to a later time by the model, less sure than before."""
         state = belief.state.copy()
         self._follow(model, state, belief.time, time)
@@ -232,19 +232,19 @@ class PoseTrack:
         options = self.options
         std = np.sqrt(belief.variance) + options.inflation * moved / self._unit
         drift = options.drift**2 * (time - belief.time) / self._unit**2
-        return Belief(time, state, std**2 + drift)
+        return FilteredState(time, state, std**2 + drift)
 
-    def _agrees(self, off: Array, belief: Belief) -> bool:
+    def _agrees(self, off: Array, belief: FilteredState) -> bool:
         """Whether a pose that is off by (3,) from a belief, m and rad, is no outlier."""
         most = self.options.outlier**2 * (belief.variance + self._noise)
         return bool((off**2 <= most).all())
 
-    def _correct(self, belief: Belief, off: Array) -> Belief:
+    def _correct(self, belief: FilteredState, off: Array) -> FilteredState:
         """Corrects a belief by a pose of its time that is off by (3,), m and rad."""
         gain = belief.variance / (belief.variance + self._noise)
         state = belief.state.copy()
         state[X : THETA + 1] += gain * off
-        return Belief(belief.time, state, (1.0 - gain) * belief.variance)
+        return FilteredState(belief.time, state, (1.0 - gain) * belief.variance)
 
     def _sum_up(self, correction: Array, motion: Array, lasted: float) -> None:
         """Adds a correction (3,) and the model's motion (3,), both m, to what happened lately."""
@@ -289,12 +289,12 @@ class PoseTrack:
         self._follow(model, state, self.seen_at, self._times[-1])
         return state
 
-    def _begin(self, time: float, pose: Array) -> Belief:
+    def _begin(self, time: float, pose: Array) -> FilteredState:
         """Takes a pose (3,) as it is, of an object at rest."""
         state = np.zeros(STATE_SIZE)
         state[X : THETA + 1] = pose
         state[TIP_X : TIP_Y + 1] = self._find_tip(time)
-        return Belief(time, state, self._noise)
+        return FilteredState(time, state, self._noise)
 
     def _follow(self, model: PushedModel, state: Array, begin: float, end: float) -> None:
         """Carries a state along the finger's path between two times."""

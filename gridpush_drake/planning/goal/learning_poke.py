@@ -15,10 +15,10 @@ from gridpush_drake.geometry.se2 import Array, rotate, transform_back
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.exploration.designed_pokes import DesignedPokes, PokeOptions
 from gridpush_drake.planning.goal.next_push import GoalRules, Robustness, draw_model_samples
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
 
 
@@ -39,7 +39,7 @@ def choose_poke_within(
     """
     obj = found.obj
     used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
-    model = UncertainModel.of_identification(found, log=used)
+    model = Belief.of_identification(found, log=used)
     contact = rules.contact
     options = PokeOptions(
         contact.pusher,

@@ -13,13 +13,9 @@ A push is made only as far as it keeps the rules, with some leeway, by the model
 samples: other models that may be the true one. By each of them its own center of friction must also
 stay over the table. Samples are 100 draws from the posterior, and of the best few pushes that one
 is made that leaves least to go on their average. Before anything was learned the samples are
-objects that are heavier towards one side,
-
-    k_i ~ exp(a u·(p_i - c) / r)
-
-with u all around, c the cells' centroid and r the farthest cell's distance from it. Several a are
-tried, for the most uneven object is not always the worst: a push may turn one object to the one
-side and another to the other. The theory is in `docs/theory/planning.md`, section 2.
+objects that are heavier towards one side (`belief.tilt_loads`). Several tilts are tried, for the
+most uneven object is not always the worst: a push may turn one object to the one side and another
+to the other. The theory is in `docs/theory/planning.md`, section 2.
 """
 
 from collections.abc import Sequence
@@ -34,7 +30,6 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import (
     Array,
     IntArray,
-    make_direction,
     rotate,
     transform,
     wrap_angle,
@@ -43,6 +38,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import PRIOR_SIDES, PRIOR_TILTS, tilt_loads
 from gridpush_drake.planning.contact.optimization import (
     ContactMethod,
     ContactPlan,
@@ -100,8 +96,8 @@ class RobustnessOptions:
     samples: int = WEIGHED_DRAWS
     confidence: float = 0.95
     weighed: int = 3
-    tilts: tuple[float, ...] = (1.0, 2.0)
-    sides: int = 4
+    tilts: tuple[float, ...] = PRIOR_TILTS
+    sides: int = PRIOR_SIDES
     leeway: float = 0.03
     center_margin: float = 0.03
     seed: int = 0
@@ -130,22 +126,9 @@ def draw_model_samples(
         identification: that the model comes from; None where nothing was learned.
         options: how many models to make.
     """
-    obj = model.obj
-    params = model.params
     if identification is not None:
         return identification.draws(options.samples, options.seed)
-    # (p_i - c) and r of the equation above.
-    arm = obj.p_BC - obj.p_BC.mean(axis=0)
-    r = max(float(np.linalg.norm(arm, axis=1).max()), obj.cell_size)
-    # The first u is along the object's longest axis, where unevenness matters most.
-    axis = np.linalg.eigh(arm.T @ arm)[1][:, -1]
-    angles = np.arctan2(axis[1], axis[0]) + 2 * np.pi * np.arange(options.sides) / options.sides
-    slopes = make_direction(angles) @ arm.T / r
-    return [
-        replace(params, mass=params.mass * np.exp(tilt * slope))
-        for tilt in options.tilts
-        for slope in slopes
-    ]
+    return tilt_loads(model, options.tilts, options.sides)
 
 
 @dataclass(frozen=True, eq=False)

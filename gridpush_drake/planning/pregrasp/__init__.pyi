@@ -22,6 +22,4 @@ from .slides import SlideOptions as SlideOptions
 from .slides import plan_slide as plan_slide
 from .stability import calc_stability_margin as calc_stability_margin
 from .stability import calc_stability_margins as calc_stability_margins
-from .uncertainty import PlausibleMassSet as PlausibleMassSet
-from .uncertainty import UncertainModel as UncertainModel
 from .weighing_planner import TiltTestPlanner as TiltTestPlanner

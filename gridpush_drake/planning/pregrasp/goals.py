@@ -31,9 +31,9 @@ from gridpush_drake.geometry.polygons import calc_margin_inside, find_weakest_di
 from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import GraspPart
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_support_polygon
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import PushRule, make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.press import PressTarget

@@ -25,23 +25,23 @@ from numpy.typing import ArrayLike
 from shapely import Polygon
 from threadpoolctl import threadpool_limits
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, transform
-from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.exploration.designed_pokes import (
     DesignedPokes,
     Functional,
-    PokeBelief,
     calc_center_std,
     make_center_functional,
     make_farthest_functional,
 )
 from gridpush_drake.planning.exploration.strategy import PokeProposal
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.decision import (
     PokeForecast,
     PreGraspDecision,
@@ -73,7 +73,6 @@ from gridpush_drake.planning.pregrasp.slides import (
     plan_slide,
 )
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import check_size
@@ -147,7 +146,7 @@ class PreGraspPlanner:
 
     @threadpool_limits.wrap(limits=1, user_api="blas")
     def decide(
-        self, pose: ArrayLike, model: UncertainModel | None, pokes: int = 0, slides: int = 0
+        self, pose: ArrayLike, model: Belief | None, pokes: int = 0, slides: int = 0
     ) -> PreGraspDecision:
         """Decides what to do next.
 
@@ -159,7 +158,7 @@ class PreGraspPlanner:
         """
         q = np.asarray(pose, dtype=np.float64)
         if model is None:
-            prior = UncertainModel.of_prior(self.obj)
+            prior = Belief.of_prior(self.obj)
             return self._poke(q, prior, None, pokes, "nothing is known of the object yet")
         # Narrow parts go first. The rim is for what can be taken by none of them.
         near = self._find_parts_near(model, self._calc_max_arm(model))
@@ -182,7 +181,7 @@ class PreGraspPlanner:
         margin = calc_stability_margin(masses, pose, self.surface, options.inset)
         return margin >= calc_whole_margin(masses, options.margin) - ROUND_OFF_MARGIN
 
-    def retreat(self, pose: ArrayLike, model: UncertainModel) -> PreGraspDecision | None:
+    def retreat(self, pose: ArrayLike, model: Belief) -> PreGraspDecision | None:
         """Decides on a push that brings an object from over the edge back onto the table.
 
         That the object lies still is known, whatever else is in doubt: models by which it would
@@ -209,13 +208,13 @@ class PreGraspPlanner:
         )
         corners = self.surface.corners
         stays = [
-            params
-            for params in (model.params, *model.samples)
-            if calc_loads(Model(self.obj, params, model.physics), q, corners) is not None
+            bodies
+            for bodies in (model.bodies, *model.samples)
+            if calc_loads(bodies, q, corners) is not None
         ]
         if len(stays) < RETREAT_MODELS:
             return None
-        staying = replace(model, params=stays[0])
+        staying = replace(model, bodies=stays[0])
         planner = self._ask_margin(-np.inf)
         return planner._slide(q, staying, [goal], "lying wholly on the table", stays[1:])
 
@@ -258,9 +257,7 @@ class PreGraspPlanner:
         """Makes a planner that presses no more, and says why; itself if it never presses."""
         return self
 
-    def _decide_by_rim(
-        self, q: Array, model: UncertainModel, pokes: int, slides: int
-    ) -> PreGraspDecision:
+    def _decide_by_rim(self, q: Array, model: Belief, pokes: int, slides: int) -> PreGraspDecision:
         """Decides what to do next to take a flat part.
 
         Only those parts count by which the pads hold the object wherever its center of mass is.
@@ -279,7 +276,7 @@ class PreGraspPlanner:
         return PreGraspDecision("fail", why)
 
     def _decide_with(
-        self, parts: Sequence[GraspPart], q: Array, model: UncertainModel, pokes: int, slides: int
+        self, parts: Sequence[GraspPart], q: Array, model: Belief, pokes: int, slides: int
     ) -> PreGraspDecision:
         """Decides what to do next to take one of some parts, all of them narrow or all flat."""
         options = self.options
@@ -317,10 +314,10 @@ class PreGraspPlanner:
     def _slide(
         self,
         pose: Array,
-        model: UncertainModel,
+        model: Belief,
         goals: Sequence[PreGraspGoal],
         aim: str,
-        draws: Sequence[CellParameters] | None = None,
+        draws: Sequence[Bodies] | None = None,
     ) -> PreGraspDecision | None:
         """Decides on a push towards one of some goals; None if none is safe all the way.
 
@@ -334,7 +331,7 @@ class PreGraspPlanner:
         slide = plan_slide(
             masses=model.masses,
             params=model.params,
-            draws=model.samples if draws is None else draws,
+            draws=[each.params for each in (model.samples if draws is None else draws)],
             pose=pose,
             goals=goals,
             surface=self.surface,
@@ -361,19 +358,19 @@ class PreGraspPlanner:
         clear = ", clear of what else lies there" if self.obstacles else ""
         return f"on the table{clear}"
 
-    def _calc_max_arm(self, model: UncertainModel) -> float:
+    def _calc_max_arm(self, model: Belief) -> float:
         """How far a narrow part may be from the center of mass, m: less for a heavy object."""
         if self.pads is None:
             return self.options.max_arm
         return min(self.options.max_arm, self.pads.weigh(model.masses).max_arm)
 
-    def _find_parts_near(self, model: UncertainModel, arm: float) -> tuple[GraspPart, ...]:
+    def _find_parts_near(self, model: Belief, arm: float) -> tuple[GraspPart, ...]:
         """The narrow parts no farther than `arm`, m, from where the center of mass is estimated."""
         middle = model.masses.middle
         return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - middle) <= arm)
 
     def _find_goals(
-        self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart]
+        self, pose: Array, model: Belief, parts: Sequence[GraspPart]
     ) -> list[PreGraspGoal]:
         """The goals with one of the parts beyond the edge; none without parts."""
         if not parts:
@@ -389,7 +386,7 @@ class PreGraspPlanner:
         )
 
     def _poke_or_give_up(
-        self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart], pokes: int
+        self, pose: Array, model: Belief, parts: Sequence[GraspPart], pokes: int
     ) -> PreGraspDecision:
         """Decides what to do where none of `parts` allows a goal.
 
@@ -410,7 +407,7 @@ class PreGraspPlanner:
         return self._poke(pose, model, None, pokes, why)
 
     def propose_poke(
-        self, model: UncertainModel, pose: ArrayLike, direction: ArrayLike | None = None
+        self, model: Belief, pose: ArrayLike, direction: ArrayLike | None = None
     ) -> PokeProposal:
         """Proposes the poke that is expected to tell most of the center of mass.
 
@@ -440,14 +437,14 @@ class PreGraspPlanner:
         if direction is not None:
             functional = partial(make_farthest_functional, direction=direction)
 
-        def forecast(belief: PokeBelief, poke: Push, at: ArrayLike) -> float | None:
+        def forecast(belief: Belief, poke: Push, at: ArrayLike) -> float | None:
             return forecast_std(model, poke, at, functional)
 
         strategy = DesignedPokes(self.options.poke, functional, forecast=forecast)
         return strategy.propose(model, pose, rules)
 
     def _poke(
-        self, pose: Array, model: UncertainModel, best: PreGraspGoal | None, pokes: int, why: str
+        self, pose: Array, model: Belief, best: PreGraspGoal | None, pokes: int, why: str
     ) -> PreGraspDecision:
         """Chooses the poke that tells most about the center of mass, or gives up.
 

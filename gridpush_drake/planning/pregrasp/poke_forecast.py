@@ -29,8 +29,8 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.statistics.posterior import CONTACT_FRICTION, calc_fraction
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.exploration.designed_pokes import Functional, calc_worst_std
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.world import OBSERVATION_COUNT
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -42,7 +42,7 @@ IMAGINED_POKE = "imagined_poke"
 
 
 def forecast_std(
-    model: UncertainModel, push: Push, pose: ArrayLike, make_functional: Functional
+    model: Belief, push: Push, pose: ArrayLike, make_functional: Functional
 ) -> float | None:
     """Forecasts the standard deviation of what matters after a poke.
 
@@ -56,7 +56,7 @@ def forecast_std(
         The standard deviation in the direction that is then known least; None where nothing could
         be imagined, as the pushes learned from are not at hand.
     """
-    if model.found is None or len(model.log) < len(model.found.push_names):
+    if model.identification is None or len(model.log) < len(model.identification.push_names):
         return None
     rng = np.random.default_rng(model.seed)
     left = []
@@ -69,19 +69,19 @@ def forecast_std(
                     Model(model.obj),
                     PushLog((*model.log, seen)),
                     regime="quasi_static",
-                    start=model.found,
+                    start=model.identification,
                 )
         except GridPushError:
             continue  # nothing is learned from such an outcome
         if IMAGINED_POKE not in found.push_names:
             continue
-        after = UncertainModel.of_identification(found, friction_range=model.friction_range)
+        after = Belief.of_identification(found, friction_range=model.friction_range)
         F = make_functional(after)
         left.append(calc_worst_std(F @ found.posterior.covariance @ F.T))
     return float(np.median(left)) if left else None
 
 
-def _draw_models(model: UncertainModel, rng: np.random.Generator) -> list[CellParameters]:
+def _draw_models(model: Belief, rng: np.random.Generator) -> list[CellParameters]:
     """Draws models that may be the true one."""
     posterior = model.require_posterior()
     if len(model.log):
@@ -98,7 +98,7 @@ def _draw_models(model: UncertainModel, rng: np.random.Generator) -> list[CellPa
     return draws
 
 
-def _make_parameters(model: UncertainModel, z: Array) -> CellParameters:
+def _make_parameters(model: Belief, z: Array) -> CellParameters:
     """Makes masses of the estimate's friction that bear the loads of z (n+1,)."""
     params = model.params
     mass = float(params.mass @ params.friction) * calc_fraction(z) / params.friction
@@ -106,7 +106,7 @@ def _make_parameters(model: UncertainModel, z: Array) -> CellParameters:
 
 
 def _imagine(
-    model: UncertainModel,
+    model: Belief,
     params: CellParameters,
     push: Push,
     pose: Array,

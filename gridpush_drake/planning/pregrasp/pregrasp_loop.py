@@ -45,6 +45,7 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.innovation import check_innovation
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.closed_loop import (
     FAILED_MODE,
     LOST_MODE,
@@ -56,13 +57,13 @@ from gridpush_drake.planning.closed_loop import (
     Observation,
     Pose,
 )
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.decision import PokeForecast, PreGraspDecision
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.push_monitor import PushMonitor
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.robot_status import GraspOutcome, GraspStatus, PressStatus, PushPhase
 from gridpush_drake.planning.support_surface import find_supported
 from gridpush_drake.planning.weighing.press import PressOutcome, PressTarget
@@ -75,7 +76,7 @@ Its arguments are the object's pose (3,) in W, the point (2,) in B near which to
 that it may have, and True if the pads must hold it whichever of these it has (False: with its
 center of mass where it is estimated)."""
 
-Infer = Callable[[Identification | None, PushLog], UncertainModel | None]
+Infer = Callable[[Identification | None, PushLog], Belief | None]
 """Says what is possible, given what was learned and the pushes so far; returns None where more must
 be seen first."""
 
@@ -286,12 +287,12 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
 
     def infer_from_identification(
         self, found: Identification | None, log: PushLog
-    ) -> UncertainModel | None:
+    ) -> Belief | None:
         """Says what is possible by the posterior; None before anything was learned."""
         if found is None:
             return None
         used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
-        return UncertainModel.of_identification(found, seed=self.seed, log=used)
+        return Belief.of_identification(found, seed=self.seed, log=used)
 
     def is_idle(self, now: PreGraspState) -> bool:
         """Whether nothing more is done."""
@@ -383,7 +384,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             if is_ambiguous or now.retreating:
                 # What was learned before was just refuted. What is learned now is doubted; what
                 # that leaves possible decides whether the object is still safe.
-                uncertain = (uncertain or UncertainModel.of_prior(planner.obj)).inflate(
+                uncertain = (uncertain or Belief.of_prior(planner.obj)).inflate(
                     _calc_inflation(now)
                 )
                 why = self._find_danger(now, seen, pose, uncertain)
@@ -401,7 +402,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return self._follow_decision(now, pose, uncertain, decision, seen)
 
     def _find_danger(
-        self, now: PreGraspState, seen: Observation, pose: Array, doubted: UncertainModel
+        self, now: PreGraspState, seen: Observation, pose: Array, doubted: Belief
     ) -> str | None:
         """Says why an object that surprised over the edge should not stay there; None if it may.
 
@@ -431,7 +432,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         self,
         now: PreGraspState,
         pose: Array,
-        doubted: UncertainModel,
+        doubted: Belief,
         seen: Observation,
         why: str,
     ) -> PreGraspState:
@@ -461,7 +462,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         self,
         now: PreGraspState,
         pose: Array,
-        uncertain: UncertainModel | None,
+        uncertain: Belief | None,
         decision: PreGraspDecision,
         seen: Observation,
     ) -> PreGraspState:
@@ -507,14 +508,14 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         self,
         now: PreGraspState,
         pose: Array,
-        uncertain: UncertainModel | None,
+        uncertain: Belief | None,
         decision: PreGraspDecision,
         push: Push,
         seen: Observation,
     ) -> PreGraspState:
         """The state with a push asked for, and watched."""
         planner = self.planner
-        known = uncertain or UncertainModel.of_prior(planner.obj)
+        known = uncertain or Belief.of_prior(planner.obj)
         slide = planner.options.slide
         if now.retreating:
             # It was planned by the models by which the object stays, not by the worst masses.
@@ -554,17 +555,11 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         )
 
     def _grasp(
-        self, now: PreGraspState, pose: Array, uncertain: UncertainModel, decision: PreGraspDecision
+        self, now: PreGraspState, pose: Array, uncertain: Belief, decision: PreGraspDecision
     ) -> PreGraspState:
         """The state with a grasp asked for; failed, where there is none."""
         goal = decision.goal
-        masses = uncertain.masses
-        at_worst = goal is not None and isinstance(goal.part, FlatPart)
-        # As near the center of mass as the gripper gets; else at the part that the plan found,
-        # which is farther off, but within reach.
-        grasp = self._find_grasp(pose, masses.middle, masses, at_worst)
-        if grasp is None and goal is not None:
-            grasp = self._find_grasp(pose, goal.part.p_BG, masses, at_worst)
+        grasp = choose_grasp(self._find_grasp, pose, uncertain.masses, goal)
         if grasp is None:
             why = (
                 "The gripper reaches no part that hangs over and by which its pads hold the object."
@@ -605,6 +600,27 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return now.turn_to(FAILED_MODE if give_up else WAITING_MODE, what, goal=None)
 
 
+def choose_grasp(
+    find: FindGrasp, pose: Array, masses: PlausibleMassSet, goal: PreGraspGoal | None
+) -> SideGrasp | None:
+    """Chooses a grasp of an object that hangs over the edge; None where there is none.
+
+    It is as near the center of mass as the gripper gets; else at the part that the plan found,
+    which is farther off, but within reach.
+
+    Args:
+        find: finds a grasp near a point of the object.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        masses: that it may have.
+        goal: what the plan found; None where there is no plan.
+    """
+    at_worst = goal is not None and isinstance(goal.part, FlatPart)
+    grasp = find(pose, masses.middle, masses, at_worst)
+    if grasp is None and goal is not None:
+        grasp = find(pose, goal.part.p_BG, masses, at_worst)
+    return grasp
+
+
 def _calc_inflation(now: PreGraspState) -> float:
     """By how much less sure what was learned is, after a push that surprised over the edge."""
     last = now.innovations.last
@@ -632,7 +648,7 @@ def _is_explained(seen: Observation) -> bool:
     return judgment is not None and not judgment.innovations
 
 
-def _is_center_weighed(doubted: UncertainModel) -> bool:
+def _is_center_weighed(doubted: Belief) -> bool:
     """Whether weighings tell the center of mass, in whatever way the object moves when pushed."""
     weighed = doubted.weighed
     return weighed is not None and float(weighed.center_std.max()) <= WEIGHED_CENTER_STD

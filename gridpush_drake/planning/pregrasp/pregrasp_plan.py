@@ -15,10 +15,10 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.model import Model
 from gridpush_drake.notebook import count, describe_pose, draw_paths, make_page, make_table
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.units import MM_PER_M
 
 
@@ -70,7 +70,7 @@ class PreGraspPlan:
         return make_page(repr(self), path, make_table(heads, rows))
 
 
-def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLike) -> PreGraspPlan:
+def plan_pregrasp(planner: PreGraspPlanner, model: Belief, pose: ArrayLike) -> PreGraspPlan:
     """Plans a whole slide, predicting motions with the model's `params`.
 
     Args:

@@ -21,9 +21,9 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.geometry.se2 import Array, transform_shape
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.slides import SlideOptions, calc_kept_margin
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.units import MM_PER_M

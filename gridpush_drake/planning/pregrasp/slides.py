@@ -35,13 +35,13 @@ from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, calc_goal_error
 from gridpush_drake.planning.edge_motion import COMPARED_TIP_STEP, follow_near_edge
 from gridpush_drake.planning.model_rollouts import count_agreed, count_exceptions, count_kept
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
 from gridpush_drake.planning.pregrasp.stability import (
     SUPPORT_INSET,
     calc_stability_margin,
     calc_stability_margins,
 )
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import (
     CHECK_EVERY,
     PoseRule,

@@ -24,7 +24,7 @@ from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.geometry.polygons import hull_of
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.support_surface import ROUND_OFF, SupportSurface, find_supported
 
 SUPPORT_INSET = 0.002

@@ -30,13 +30,14 @@ from threadpoolctl import threadpool_limits
 from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
 from gridpush_drake.identification.absolute.estimate import LOG_MASS, AbsoluteEstimate
 from gridpush_drake.notebook import count
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.slides import calc_kept_margin
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.plan import (
     Edge,
@@ -161,27 +162,27 @@ class TiltTestPlanner(PreGraspPlanner):
     # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
     @threadpool_limits.wrap(limits=1, user_api="blas")
     def decide(
-        self, pose: ArrayLike, model: UncertainModel | None, pokes: int = 0, slides: int = 0
+        self, pose: ArrayLike, model: Belief | None, pokes: int = 0, slides: int = 0
     ) -> PreGraspDecision:
         """Decides what to do next; see `PreGraspPlanner.decide`."""
         if self.stopped:
             decision = super().decide(pose, model, pokes, slides)
             return replace(decision, reason=f"{decision.reason}; {self.stopped}")
-        if model is None or model.belief is None or not self.may_weigh(model, pokes, slides):
+        if model is None or model.absolute is None or not self.may_weigh(model, pokes, slides):
             return super().decide(pose, model, pokes, slides)
         q = np.asarray(pose, dtype=np.float64)
         known = (
-            calc_normalized_uncertainty(model.belief.covariance, self.weighing.sequence)
+            calc_normalized_uncertainty(model.absolute.covariance, self.weighing.sequence)
             <= ROUGH_UNCERTAINTY
         )
-        may_slide = slides < self.calc_slide_limit(model.belief.presses)
+        may_slide = slides < self.calc_slide_limit(model.absolute.presses)
         if not known:
             weighing = self._decide_to_weigh(q, model, may_slide)
             if weighing is not None:
                 return weighing
         decision = super().decide(pose, model, pokes, slides)
         if not may_slide:
-            decision = _say_why_weighed_no_further(decision, model.belief.presses, slides)
+            decision = _say_why_weighed_no_further(decision, model.absolute.presses, slides)
         safe = decision.action == "slide" and decision.margin >= self.weighing.trusted_margin
         if not known or safe or decision.action == "grasp":
             return decision
@@ -196,16 +197,16 @@ class TiltTestPlanner(PreGraspPlanner):
             )
         return replace(weighing, reason=f"{why}; {weighing.reason}")
 
-    def may_weigh(self, model: UncertainModel, pokes: int, slides: int) -> bool:
+    def may_weigh(self, model: Belief, pokes: int, slides: int) -> bool:
         """Says whether it is time to weigh, and mass or center are not known well enough yet."""
-        assert model.belief is not None
+        assert model.absolute is not None
         # The first pokes tell how friction is spread. After that a press tells more than a poke.
         if pokes < self.options.min_pokes or slides >= self.options.max_slides:
             return False
         if model.presses >= self.weighing.max_presses:
             return False
         return (
-            calc_normalized_uncertainty(model.belief.covariance, self.weighing.sequence)
+            calc_normalized_uncertainty(model.absolute.covariance, self.weighing.sequence)
             > SUFFICIENT_UNCERTAINTY
         )
 
@@ -218,7 +219,7 @@ class TiltTestPlanner(PreGraspPlanner):
         return self.weighing.first_slides + self.weighing.slides_per_press * presses
 
     def _decide_to_weigh(
-        self, pose: Array, model: UncertainModel, may_slide: bool = True
+        self, pose: Array, model: Belief, may_slide: bool = True
     ) -> PreGraspDecision | None:
         """Decides on a press, or on a push to where one can be made; None where neither helps.
 
@@ -240,7 +241,7 @@ class TiltTestPlanner(PreGraspPlanner):
         return None
 
     def plan_presses(
-        self, pose: Array, model: UncertainModel, may_slide: bool = True
+        self, pose: Array, model: Belief, may_slide: bool = True
     ) -> Iterator["PressChoice"]:
         """Plans presses where the object lies, and placements at an edge that tell sooner.
 
@@ -253,7 +254,7 @@ class TiltTestPlanner(PreGraspPlanner):
             What there is, by one set of rules after another: each supposes more, or allows more,
             than those before it, and is for where those lead to nothing.
         """
-        belief = model.belief
+        belief = model.absolute
         assert belief is not None
         # A heavy object may lie still wherever its center of mass is farthest from the edge. If
         # there is no other press, one is made that tilts it with the center where it is expected;
@@ -320,7 +321,7 @@ class TiltTestPlanner(PreGraspPlanner):
         return PressChoice(self, here, tuple(placements))
 
     def _slide_to_weigh(
-        self, pose: Array, model: UncertainModel, goals: Sequence[PreGraspGoal]
+        self, pose: Array, model: Belief, goals: Sequence[PreGraspGoal]
     ) -> PreGraspDecision | None:
         """Decides on a push towards one of some goals where the object can be weighed."""
         return self._slide(pose, model, goals, "where it can be weighed") if goals else None
@@ -398,7 +399,7 @@ class TiltTestPlanner(PreGraspPlanner):
         )
 
     def _find_press(
-        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, is_robust: bool
+        self, pose: Array, model: Belief, belief: AbsoluteEstimate, is_robust: bool
     ) -> PlannedPress | None:
         """Finds a press where the object lies now (3,); None where none is safe and tells much.
 
@@ -436,7 +437,7 @@ class TiltTestPlanner(PreGraspPlanner):
     def _list_placements(
         self,
         pose: Array,
-        model: UncertainModel,
+        model: Belief,
         belief: AbsoluteEstimate,
         is_robust: bool = True,
         room: float = 0.0,

@@ -1,4 +1,3 @@
-from .belief import SceneBelief as SceneBelief
 from .fetching import FetchLearning as FetchLearning
 from .fetching import FetchOptions as FetchOptions
 from .fetching import FetchPlanner as FetchPlanner

@@ -11,7 +11,7 @@ other objects are cleared away to places wholly on the table, where they lie saf
 masses are. The theory is in `docs/theory/planning.md`, section 6.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,12 +25,11 @@ from gridpush_drake.geometry.se2 import Array, transform, transform_shape
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision, PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, find_pregrasp_goals
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.slides import OBSTACLE_MARGIN
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
-from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import (
     SceneAction,
     SceneDecision,
@@ -162,11 +161,9 @@ class FetchPlanner:
         obj = self.objects[wanted]
         self._planner = PreGraspPlanner(obj, surface, self.options.pregrasp, limits=limits)
 
-    def decide(
-        self, poses: Array, belief: SceneBelief, steps: Sequence[SceneStep]
-    ) -> SceneDecision:
+    def decide(self, poses: Array, belief: Belief, steps: Sequence[SceneStep]) -> SceneDecision:
         """Decides what to do next; see `ScenePlanner`."""
-        model = belief.models.get(self.wanted)
+        model = belief.alone.get(self.wanted)
         outlines = place_outlines(self.objects, poses)
         way = self._choose_way(poses, model, outlines)
         lacking = self._calc_lacking(poses[None], way, self.options.room)[0]
@@ -188,7 +185,7 @@ class FetchPlanner:
         return clearing if decision.action == "fail" else self._translate(decision, poses)
 
     def _choose_way(
-        self, poses: Array, model: UncertainModel | None, outlines: NDArray[np.object_]
+        self, poses: Array, model: Belief | None, outlines: NDArray[np.object_]
     ) -> BaseGeometry:
         """Chooses the way to the edge on which least is to be cleared away.
 
@@ -242,7 +239,7 @@ class FetchPlanner:
     def _clear(
         self,
         poses: Array,
-        belief: SceneBelief,
+        belief: Belief,
         steps: Sequence[SceneStep],
         way: BaseGeometry,
         room: float,
@@ -300,7 +297,7 @@ class FetchPlanner:
     def _decide_alone(
         self,
         poses: Array,
-        model: UncertainModel | None,
+        model: Belief | None,
         outlines: NDArray[np.object_],
         steps: Sequence[SceneStep],
     ) -> PreGraspDecision:
@@ -369,13 +366,13 @@ class FetchLearning:
 
     def learn(
         self,
-        belief: SceneBelief,
+        belief: Belief,
         pushes: Sequence[ObservedPush],
         seed: int,
         *,
         last: bool = False,
         anew: bool = False,
-    ) -> SceneBelief | None:
+    ) -> Belief | None:
         """Learns anew, where the last push tells something; see `SceneLearner`.
 
         The wanted object is learned after each push that tells of it, so that nothing of it is left
@@ -392,15 +389,8 @@ class FetchLearning:
         clean = [seen.single_out(self.wanted) for seen in pushes if self._tells(seen, obj)]
         log = PushLog(tuple(clean))
         alone = identify(Model(obj), log, seed=seed)
-        learned = UncertainModel.of_identification(
-            alone, friction_range=self.friction_range, log=log
-        )
-        models: Mapping[int, UncertainModel] = {**belief.models, self.wanted: learned}
-        return replace(
-            found or belief,
-            models=models,
-            learned_alone={**belief.learned_alone, self.wanted: alone},
-        )
+        learned = Belief.of_identification(alone, friction_range=self.friction_range, log=log)
+        return replace(found or belief, alone={**belief.alone, self.wanted: learned})
 
     def _tells(self, seen: ObservedPush, obj: GridObject) -> bool:
         """Says whether only the wanted object moved in a push, and lay wholly on the table."""

@@ -9,6 +9,9 @@ It is a `ClosedLoop` whose poses are those of N objects. A planner decides (`loo
 the mean of several looks at all objects at rest. What was seen before and after each push is
 learned from. A LeafSystem steps the loop with what is on its ports, `loop_run.run_loop` in a world;
 the state holds the push, or the grasp, that is asked for.
+
+A loop of one object is shown what was learned. This one learns by itself: which pushes tell of
+which object, and when it is worth its time to learn all of them together, is a matter of the task.
 """
 
 from collections.abc import Callable
@@ -23,6 +26,8 @@ from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.innovation import InnovationRecord, select_unchanged
 from gridpush_drake.identification.multi_object.joint_fit import NOISE
+from gridpush_drake.identification.multi_object.joint_result import JointIdentification
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.closed_loop import (
     ClosedLoop,
     LoopOptions,
@@ -32,7 +37,6 @@ from gridpush_drake.planning.closed_loop import (
 )
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp
 from gridpush_drake.planning.robot_status import GraspOutcome
-from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import (
     SceneAction,
     SceneDecision,
@@ -45,7 +49,7 @@ from gridpush_drake.planning.scene.loop import (
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
 
-FindSceneGrasp = Callable[[Array, SceneDecision, SceneBelief], SideGrasp | None]
+FindSceneGrasp = Callable[[Array, SceneDecision, Belief], SideGrasp | None]
 """Finds a grasp of the object of a decision at poses (N, 3); None where the robot has none."""
 
 STILL_WORLD = LoopOptions(observations=1, max_refusals=8)
@@ -113,7 +117,7 @@ class JointState(LoopState):
     """
 
     status: SceneStatus
-    belief: SceneBelief
+    belief: Belief
     asked: SceneStep | None = None
     steps: tuple[SceneStep, ...] = ()
     log: tuple[ObservedPush, ...] = ()
@@ -157,7 +161,7 @@ class JointLoop(ClosedLoop[JointState]):
     """
 
     planner: ScenePlanner
-    belief: SceneBelief
+    belief: Belief
     learning: SceneLearner | None = None
     max_pushes: int = 60
     find_grasp: FindSceneGrasp | None = None
@@ -177,6 +181,11 @@ class JointLoop(ClosedLoop[JointState]):
         if now.status.mode is SceneMode.GRASPING:
             return self._follow_grasp(now, seen), False
         return super().observe(now, seen)
+
+    def is_outdated(self, now: JointState, seen: Observation) -> bool:
+        """Whether a decision is of no use any more; angles may have jumped by a whole turn."""
+        before = [np.asarray(each) for each in now.filter.poses]
+        return super().is_outdated(now, replace(seen, pose=straighten(seen.pose, before)))
 
     def is_idle(self, now: JointState) -> bool:
         """Whether the task has ended."""
@@ -308,7 +317,7 @@ class JointLoop(ClosedLoop[JointState]):
         if self.learning is None:
             return now
         known = now.belief.identification
-        noise = NOISE if known is None else known.noise
+        noise = known.noise if isinstance(known, JointIdentification) else NOISE
         pushes = select_unchanged(now.object_innovations, now.log, noise)
         found = self.learning.learn(now.belief, pushes, self.seed, last=last, anew=anew)
         if found is None:

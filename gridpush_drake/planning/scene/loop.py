@@ -20,8 +20,8 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.multi_object.joint_fit import NOISE, JointEnsemble
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
-from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.units import MM_PER_M
@@ -78,9 +78,7 @@ class SceneStep:
 class ScenePlanner(Protocol):
     """Decides what to do next in a task with several objects."""
 
-    def decide(
-        self, poses: Array, belief: SceneBelief, steps: Sequence[SceneStep]
-    ) -> SceneDecision:
+    def decide(self, poses: Array, belief: Belief, steps: Sequence[SceneStep]) -> SceneDecision:
         """Decides what to do next.
 
         Args:
@@ -96,13 +94,13 @@ class SceneLearner(Protocol):
 
     def learn(
         self,
-        belief: SceneBelief,
+        belief: Belief,
         pushes: Sequence[ObservedPush],
         seed: int,
         *,
         last: bool = False,
         anew: bool = False,
-    ) -> SceneBelief | None:
+    ) -> Belief | None:
         """Learns anew, if that is worth it now.
 
         Args:
@@ -145,13 +143,13 @@ class SceneLearning:
 
     def learn(
         self,
-        belief: SceneBelief,
+        belief: Belief,
         pushes: Sequence[ObservedPush],
         seed: int,
         *,
         last: bool = False,
         anew: bool = False,
-    ) -> SceneBelief | None:
+    ) -> Belief | None:
         """Learns from all pushes in which something moved; see `SceneLearner`."""
         telling = [seen for seen in pushes if _moves(seen) >= self.min_move]
         if not telling or not (last or anew or len(pushes) in self.after):
@@ -165,8 +163,9 @@ class SceneLearning:
             JointEnsemble(self.noise, self.hypotheses),
             start=belief.identification,
         )
-        learned = SceneBelief.of_identification(found, draws=len(belief.draws), seed=seed)
-        return replace(learned, models=belief.models, learned_alone=belief.learned_alone)
+        count = belief.sample_count
+        learned = Belief.of_identification(found, sample_count=count, seed=seed)
+        return replace(learned, alone=belief.alone)
 
 
 def name_objects(count: int) -> tuple[str, ...]:

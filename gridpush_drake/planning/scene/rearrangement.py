@@ -42,7 +42,7 @@ from gridpush_drake.geometry.se2 import (
     wrap_angle,
 )
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.scene.loop import (
     SceneAction,
     SceneDecision,
@@ -212,9 +212,7 @@ class RearrangePlanner:
         near = (distance < options.position_tolerance) & (turn < options.angle_tolerance)
         return np.asarray(near)
 
-    def decide(
-        self, poses: Array, belief: SceneBelief, steps: Sequence[SceneStep]
-    ) -> SceneDecision:
+    def decide(self, poses: Array, belief: Belief, steps: Sequence[SceneStep]) -> SceneDecision:
         """Decides what to do next; see `ScenePlanner`."""
         reached = self.find_reached(poses)
         if reached.all():

@@ -25,7 +25,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.scene.rollouts import Rollout, SceneRollouts, roll_models
 from gridpush_drake.planning.scene.rules import (
     CONSTRAINT_SLACK,
@@ -123,7 +123,7 @@ class SceneSearch:
 
     def __init__(
         self,
-        belief: SceneBelief,
+        belief: Belief,
         rules: SceneRules = UNCONSTRAINED,
         options: SceneSearchOptions | None = None,
     ) -> None:
@@ -133,7 +133,7 @@ class SceneSearch:
         self.options = options or SceneSearchOptions()
         workers = self.options.workers
         self._best = SceneRollouts(belief.bodies, workers=workers)
-        self._others = [SceneRollouts(scene, workers=workers) for scene in belief.draws]
+        self._others = [SceneRollouts(scene, workers=workers) for scene in belief.samples]
         self.room = SceneRoom(belief.objects, rules)
 
     @property

@@ -23,7 +23,7 @@ from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.scene.loop import (
     SceneAction,
     SceneDecision,
@@ -112,9 +112,7 @@ class SeparatePlanner:
         self.rules = rules
         self._seed = seed
 
-    def decide(
-        self, poses: Array, belief: SceneBelief, steps: Sequence[SceneStep]
-    ) -> SceneDecision:
+    def decide(self, poses: Array, belief: Belief, steps: Sequence[SceneStep]) -> SceneDecision:
         """Decides what to do next; see `ScenePlanner`."""
         clearances = calc_clearances(self.objects, poses)
         lacking = [int(b) for b in np.flatnonzero(clearances < self.options.margin)]
@@ -135,7 +133,7 @@ class SeparatePlanner:
         )
 
     def _find_push(
-        self, poses: Array, belief: SceneBelief, lacking: Sequence[int], seed: tuple[int, ...]
+        self, poses: Array, belief: Belief, lacking: Sequence[int], seed: tuple[int, ...]
     ) -> ScenePush | None:
         """Searches for a push at an object that lacks room; where none fits, at any."""
         rng = np.random.default_rng(seed)

@@ -25,7 +25,7 @@ from gridpush_drake.perception.images.camera import Camera
 from gridpush_drake.perception.tracking.multi_object_tracking import KnownObject, SceneTracker
 from gridpush_drake.perception.tracking.pose_prediction import ScenePushModel
 from gridpush_drake.perception.tracking.symmetries import SAME_POSE_IOU, find_symmetries
-from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.station.scene.camera import (
     LIVE_TRACKER,
     LOST_BELOW,
@@ -63,7 +63,7 @@ def AddObjectsPoseEstimator(
     """
     config = scenario.camera
     tracked = TrackedScene(scenario, obj, others)
-    belief = SceneBelief.of_prior(tracked.objects, draws=0)
+    belief = Belief.of_even_objects(tracked.objects, sample_count=0)
     estimator = builder.AddNamedSystem(
         "camera",
         ObjectsPoseEstimator(

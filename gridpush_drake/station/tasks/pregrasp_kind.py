@@ -16,7 +16,7 @@ from gridpush_drake.identification.absolute.estimate import (
 )
 from gridpush_drake.identification.statements import describe_sources
 from gridpush_drake.objects.object_file import speak_name
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_grasp
 from gridpush_drake.report.progress import ExpectedUncertainty
@@ -252,7 +252,7 @@ def _draw_pre_grasp(record: PreGraspRecord) -> Figure:
         record.surface,
         poses,
         pushes,
-        masses=UncertainModel.of_identification(record.estimates[-1], log=record.log).masses,
+        masses=Belief.of_identification(record.estimates[-1], log=record.log).masses,
         truth=record.truth,
         grasp=last_grasp,
     )

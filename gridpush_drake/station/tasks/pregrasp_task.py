@@ -21,6 +21,7 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.exploration.designed_pokes import PokeOptions
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import FlatPart, find_held_grasps
@@ -28,7 +29,6 @@ from gridpush_drake.planning.pregrasp.grasp.gripper import PadLimit
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp, choose_varied
 from gridpush_drake.planning.pregrasp.planner import ACCEPTED_FRACTION, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.weighing_planner import TiltTestOptions, TiltTestPlanner
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
 from gridpush_drake.planning.weighing.plan import PressRules

@@ -8,6 +8,7 @@ import numpy as np
 from gridpush_drake.display.overlay import Mark, to_css
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, transform
+from gridpush_drake.identification.multi_object.joint_result import JointIdentification
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import count
 from gridpush_drake.planning.scene.fetching import POKE_KIND, SLIDE_KIND, FetchOptions
@@ -165,13 +166,16 @@ class SceneKind(GoalKind):
         """Makes the report, as HTML."""
         name = f"{self.verb}: {', '.join(record.names)}"
         models = record.learned
-        together = None if record.belief is None else record.belief.identification
+        known = None if record.belief is None else record.belief.identification
+        numbers: list[tuple[str, str]] = []
+        if isinstance(known, JointIdentification):
+            numbers = list_scene_numbers(known, record.names)
         return make_scene_report(
             name,
             self.make_summary(record),
             recording,
             objects=describe_models(record.names, models, record.truths) if models else (),
-            numbers=() if together is None else list_scene_numbers(together, record.names),
+            numbers=numbers,
         )
 
     def write_own(

@@ -21,12 +21,11 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.images.camera_view import SceneCameraView
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.closed_loop import LoopOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits
-from gridpush_drake.planning.pregrasp.grasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
-from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.pregrasp.pregrasp_loop import choose_grasp
 from gridpush_drake.planning.scene.fetching import FetchLearning, FetchOptions, FetchPlanner
 from gridpush_drake.planning.scene.joint_loop import (
     FindSceneGrasp,
@@ -125,7 +124,7 @@ class SceneTaskRecord(ControlledRecord[SceneStatus]):
     scene_log: tuple[ObservedPush, ...] = field(default=(), kw_only=True)
     scene_view: SceneCameraView | None = field(default=None, kw_only=True)
     other_truths: tuple[CellParameters, ...] = field(default=(), kw_only=True)
-    belief: SceneBelief | None = field(default=None, kw_only=True)
+    belief: Belief | None = field(default=None, kw_only=True)
     raised: float = field(default=float("nan"), kw_only=True)
 
     def list_objects(self) -> tuple[GridObject, ...]:
@@ -196,7 +195,9 @@ class SceneTask(StationTask[SceneTaskRecord]):
         self.planner = self.make_planner()
         loop = JointLoop(
             planner=self.planner,
-            belief=SceneBelief.of_prior(self.objects, draws=PLANNING_DRAWS, seed=scenario.seed),
+            belief=Belief.of_even_objects(
+                self.objects, sample_count=PLANNING_DRAWS, seed=scenario.seed
+            ),
             learning=self.make_learning(),
             max_pushes=scenario.goal.max_pushes * len(self.objects),
             find_grasp=self.make_find_grasp(),
@@ -206,7 +207,10 @@ class SceneTask(StationTask[SceneTaskRecord]):
         controller: SceneController = builder.AddNamedSystem(
             "controller",
             SceneController(
-                loop, grasp_height=scenario.object_height / 2, lift=scenario.pregrasp.lift
+                loop,
+                grasp_height=scenario.object_height / 2,
+                lift=scenario.pregrasp.lift,
+                answer_delay=scenario.simulation.answer_delay,
             ),
         )
         # where all objects are
@@ -464,15 +468,9 @@ class FetchTask(SceneTask):
         """Makes what finds a grasp that holds the wanted object where it lies."""
         finder = self._finder
 
-        def find(poses: Array, decision: SceneDecision, belief: SceneBelief) -> SideGrasp | None:
-            model = belief.models.get(0) or UncertainModel.of_prior(self.objects[0])
-            goal = decision.goal
-            at_worst = goal is not None and isinstance(goal.part, FlatPart)
-            masses = model.masses
-            grasp = finder.find_grasp(poses[0], masses.middle, masses, at_worst)
-            if grasp is None and goal is not None:
-                grasp = finder.find_grasp(poses[0], goal.part.p_BG, masses, at_worst)
-            return grasp
+        def find(poses: Array, decision: SceneDecision, belief: Belief) -> SideGrasp | None:
+            model = belief.alone.get(0) or Belief.of_prior(self.objects[0])
+            return choose_grasp(finder.find_grasp, poses[0], model.masses, decision.goal)
 
         return find
 

@@ -13,6 +13,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.statistics.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.exploration.designed_pokes import (
     DesignedPokes,
     PokeOptions,
@@ -26,7 +27,6 @@ from gridpush_drake.planning.exploration.designed_pokes import (
 )
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.poke_forecast import forecast_std
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import SimulatedWorld
@@ -44,7 +44,7 @@ def hammer():
 
 @pytest.fixture(scope="module")
 def model(hammer):
-    return UncertainModel.of_prior(hammer)
+    return Belief.of_prior(hammer)
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_what_a_push_would_show_is_the_derivative_of_where_it_ends(model, pokes)
 def test_the_center_s_derivatives_agree_with_differences(hammer):
     rng = np.random.default_rng(1)
     posterior = Posterior(rng.normal(size=hammer.n + 1), np.eye(hammer.n + 1), np.eye(hammer.n + 1))
-    model = UncertainModel(hammer, CellParameters.uniform(hammer), posterior)
+    model = Belief(Model(hammer), posterior=posterior)
     F, step = make_center_functional(model), 1e-6
     for i in (0, 11, hammer.n):
         dz = step * np.eye(hammer.n + 1)[i]
@@ -125,7 +125,7 @@ def test_how_far_the_center_can_be_has_the_derivatives_that_differences_say(hamm
         fraction = Posterior(z, np.eye(1), np.eye(1)).calc_fraction()[None]
         return calc_farthest_center(hammer.p_BC @ d, fraction / bounds[1], fraction / bounds[0])
 
-    model = UncertainModel(hammer, CellParameters.uniform(hammer), posterior, friction_range=bounds)
+    model = Belief(Model(hammer), posterior=posterior, friction_range=bounds)
     check_jacobian(calc_farthest, posterior.mean, make_farthest_functional(model, d))
 
 
@@ -148,7 +148,7 @@ def test_pokes_keep_the_object_on_the_table_and_the_places_apart(model):
         assert table.contains_cells(model.obj, motion.poses, 0.009).all()
     log = PushLog((ObservedPush("poke", free[0], pose, np.array([free[0].duration]), pose[None]),))
     found = identify(Model(model.obj), log, regime="quasi_static")
-    rest = make_pokes(UncertainModel.of_identification(found, log=log), pose, options)
+    rest = make_pokes(Belief.of_identification(found, log=log), pose, options)
     perimeter = model.obj.edges.perimeter
     assert 0 < len(rest) < len(free)
     assert min(np.linalg.norm(push.start - free[0].start) for push in rest) > 0.09 * perimeter
@@ -189,7 +189,7 @@ def test_why_there_is_no_poke_is_said(model):
 def test_about_half_of_all_pokes_leave_more_than_was_forecast():
     """To first order about the even object, a first poke leaves 3 to 10 times what it promises."""
     obj = GridObject.from_outline(claw_hammer(), max_cells=20, name="hammer")
-    prior = UncertainModel.of_prior(obj)
+    prior = Belief.of_prior(obj)
     table = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
     poke = PreGraspPlanner(obj, table).propose_poke(prior, HERE)
     forecasts = []
@@ -205,9 +205,7 @@ def test_about_half_of_all_pokes_leave_more_than_was_forecast():
             Model(obj, truth), HERE, position_std=5e-4, angle_std=3e-3, seed=seed, observations=4
         )
         log = PushLog((replace(world.execute(poke.push), name="poke"),))
-        model = UncertainModel.of_identification(
-            identify(Model(obj), log, regime="quasi_static"), log=log
-        )
+        model = Belief.of_identification(identify(Model(obj), log, regime="quasi_static"), log=log)
         ratios.append(calc_center_std(model) / poke.expected_std)
         if seed < 2:
             forecasts.append(forecast_std(model, poke.push, HERE, make_center_functional))
@@ -219,12 +217,12 @@ def test_about_half_of_all_pokes_leave_more_than_was_forecast():
 def test_there_is_no_forecast_without_the_pushes_that_were_learned_from(model, pokes):
     log = PushLog((ObservedPush("poke", pokes[0], HERE, np.array([1.0]), HERE[None] + 0.01),))
     found = identify(Model(model.obj), log, regime="quasi_static")
-    without = UncertainModel.of_identification(found)
+    without = Belief.of_identification(found)
     assert forecast_std(without, pokes[3], HERE, make_center_functional) is None
 
 
 def poke_until_known(obj, truth, active, rng, std=0.005, most=16):
-    model, pose, log = UncertainModel.of_prior(obj), HERE, []
+    model, pose, log = Belief.of_prior(obj), HERE, []
     while len(log) < most:
         strategy = DesignedPokes() if active else DrawnPokes(PokeOptions(), rng)
         push = strategy.propose(model, pose, PushConstraints()).push
@@ -235,7 +233,7 @@ def poke_until_known(obj, truth, active, rng, std=0.005, most=16):
         )
         pose = after
         found = identify(Model(obj), PushLog(tuple(log)), regime="quasi_static")
-        model = UncertainModel.of_identification(found, log=PushLog(tuple(log)) if active else None)
+        model = Belief.of_identification(found, log=PushLog(tuple(log)) if active else None)
         known = found.identifiability
         if np.linalg.eigvalsh(known.center_of_friction_covariance)[-1] < std**2:
             break

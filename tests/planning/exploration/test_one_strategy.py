@@ -10,11 +10,11 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.exploration import DesignedPokes, RandomPokes
 from gridpush_drake.planning.goal.learning_poke import choose_poke_within
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import PushLog
@@ -52,13 +52,11 @@ def poke_in_the_game():
     [
         pytest.param(poke_for_a_goal, id="robot that pushes to a goal"),
         pytest.param(
-            lambda: PreGraspPlanner(OBJ, TABLE).propose_poke(UncertainModel.of_prior(OBJ), HERE),
+            lambda: PreGraspPlanner(OBJ, TABLE).propose_poke(Belief.of_prior(OBJ), HERE),
             id="robot that grasps, and its benches",
         ),
         pytest.param(lambda: explore(OBJ, EVEN, "box", 0, 1), id="bench of exploration"),
-        pytest.param(
-            lambda: _choose_push(UncertainModel.of_prior(OBJ), 0.008), id="bench of truths"
-        ),
+        pytest.param(lambda: _choose_push(Belief.of_prior(OBJ), 0.008), id="bench of truths"),
         pytest.param(poke_in_the_game, id="bench of games"),
     ],
 )

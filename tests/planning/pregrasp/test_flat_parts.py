@@ -14,6 +14,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import (
@@ -25,7 +26,6 @@ from gridpush_drake.planning.pregrasp.grasp.gripper import USED_FRACTION, Grippe
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import find_side_grasps
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlanStatus, plan_pregrasp
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.shapes import rectangle
 
@@ -137,7 +137,7 @@ def test_a_tray_is_brought_to_the_edge_and_a_part_hangs_over_that_the_pads_hold(
         PreGraspPlanner(obj, TABLE)
     planner = make_planner(obj)
     params = CellParameters.uniform(obj)
-    plan = plan_pregrasp(planner, UncertainModel.of_parameters(Model(obj, params)), (0.1, 0.2, 0.3))
+    plan = plan_pregrasp(planner, Belief.of_parameters(Model(obj, params)), (0.1, 0.2, 0.3))
     assert plan.status == PreGraspPlanStatus.READY, plan.message
     assert len(plan.pushes) >= 1
     (fraction,) = planner.pads.calc_fractions(
@@ -153,7 +153,7 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
     obj = make_tray(total_mass=3.0)
     planner = make_planner(obj)
     params = CellParameters.uniform(obj)
-    plan = plan_pregrasp(planner, UncertainModel.of_parameters(Model(obj, params)), (0.1, 0.2, 0.3))
+    plan = plan_pregrasp(planner, Belief.of_parameters(Model(obj, params)), (0.1, 0.2, 0.3))
     assert plan.status == PreGraspPlanStatus.FAILED
     center = params.center_of_mass(obj)
     nearest = min(np.abs(part.p_BG - center).max() for part in planner.flat_parts)
@@ -170,9 +170,7 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
         assert figure in plan.message
     strong = make_planner(obj, force=2 * 80.0)
     assert (
-        plan_pregrasp(
-            strong, UncertainModel.of_parameters(Model(obj, params)), (0.1, 0.2, 0.3)
-        ).status
+        plan_pregrasp(strong, Belief.of_parameters(Model(obj, params)), (0.1, 0.2, 0.3)).status
         == PreGraspPlanStatus.READY
     )
 
@@ -181,7 +179,7 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
 def test_measured_forces_say_how_heavy_an_object_is_that_was_not_weighed(friction):
     """K of 0.6 N: at most a few hundred grams; of 6 N: it may weigh kilograms. Without forces it is taken for one."""
     obj = make_tray(total_mass=None)
-    planner, prior = make_planner(obj), UncertainModel.of_prior(obj)
+    planner, prior = make_planner(obj), Belief.of_prior(obj)
     felt = replace(prior, force=ForceScale(friction, 0.1, 6))
     heaviest = friction * np.exp(0.2) / (9.81 * obj.prior.friction_min)
     pads, centers = planner.pads, prior.masses.center_of_mass_polygon
@@ -194,7 +192,7 @@ def test_measured_forces_say_how_heavy_an_object_is_that_was_not_weighed(frictio
     if friction > 1.0:
         assert f"its {9.81 * heaviest:.1f} N are up to" in decision.reason
     weighed = replace(obj, prior=replace(obj.prior, total_mass=0.4))
-    known = replace(UncertainModel.of_prior(weighed), force=felt.force)
+    known = replace(Belief.of_prior(weighed), force=felt.force)
     assert known.masses.max_total_mass is None
     narrow = replace(felt, friction_range=(0.5, 0.6))
     assert narrow.masses.max_total_mass == pytest.approx(friction * np.exp(0.2) / (9.81 * 0.5))
@@ -211,7 +209,7 @@ def test_narrow_parts_go_first_and_both_reasons_are_given():
     obj, pose = make_handle(0.3), (0.1, 0.2, 0.3)
     planner, model = (
         make_planner(obj),
-        UncertainModel.of_parameters(Model(obj)),
+        Belief.of_parameters(Model(obj)),
     )
     alone = PreGraspPlanner(obj, TABLE, PreGraspOptions(min_pokes=1))
     np.testing.assert_array_equal(
@@ -220,7 +218,7 @@ def test_narrow_parts_go_first_and_both_reasons_are_given():
     obj = make_handle(3.0)
     planner, model = (
         make_planner(obj),
-        UncertainModel.of_parameters(Model(obj)),
+        Belief.of_parameters(Model(obj)),
     )
     near = PreGraspPlanner(obj, TABLE, replace(planner.options, max_arm=0.02))
     decision = near.decide(pose, model)
@@ -231,7 +229,7 @@ def test_narrow_parts_go_first_and_both_reasons_are_given():
 
 def test_a_heavy_object_is_not_taken_by_a_handle_that_it_would_turn_about():
     obj, pose = make_handle(3.0), (0.1, 0.2, 0.3)
-    model = UncertainModel.of_parameters(Model(obj))
+    model = Belief.of_parameters(Model(obj))
     planner = make_planner(obj)
     assert planner.pads.max_arm == pytest.approx(0.8 * 80.0 * 0.012 / (3.0 * 9.81), rel=1e-3)
     decision = planner.decide(pose, model)
@@ -258,7 +256,7 @@ def test_a_bar_beside_the_center_of_mass_is_taken_where_the_pads_hold_across_the
     obj = GridObject.from_outline(
         body - hole, max_cells=80, prior=replace(PRIOR, total_mass=total_mass)
     )
-    uncertain = UncertainModel.of_parameters(Model(obj)) if known else UncertainModel.of_prior(obj)
+    uncertain = Belief.of_parameters(Model(obj)) if known else Belief.of_prior(obj)
     masses = uncertain.masses
     pose, pads = np.array([0.0, 0.46, 0.35]), GRIPPER.limit_pads(obj, 80.0)
     taken = find_side_grasps(obj, pose, TABLE, GRIPPER, (-0.05, 0.1))[0]
@@ -269,7 +267,7 @@ def test_a_bar_beside_the_center_of_mass_is_taken_where_the_pads_hold_across_the
 
 def test_pokes_are_made_while_the_center_of_mass_may_be_where_the_pads_hold_it():
     obj = make_tray(total_mass=1.2)
-    planner, prior = make_planner(obj), UncertainModel.of_prior(obj)
+    planner, prior = make_planner(obj), Belief.of_prior(obj)
     centers = prior.masses.center_of_mass_polygon
     assert not find_held_parts(planner.flat_parts, planner.pads, centers)
     assert find_held_parts(planner.flat_parts, planner.pads, prior.masses.middle[None])

@@ -11,9 +11,11 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.statistics.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.exploration.designed_pokes import calc_center_std
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.decision import PokeForecast, PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import (
     GOAL_ROOM,
@@ -35,7 +37,6 @@ from gridpush_drake.planning.pregrasp.slides import (
     plan_slide,
 )
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin, calc_stability_margins
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.shapes import rectangle, regular_polygon
@@ -186,16 +187,11 @@ def test_what_hangs_over_already_is_grasped_and_only_if_it_stays(pan, parts, hea
     assert here is not None
     assert here.margin > 0.01
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
-    assert (
-        planner.decide(pose, UncertainModel.of_parameters(Model(pan, heavy_plate))).action
-        == "grasp"
-    )
+    assert planner.decide(pose, Belief.of_parameters(Model(pan, heavy_plate))).action == "grasp"
     heavy_handle = CellParameters.by_part(pan, {1: 0.5, 2: 0.005}, 0.35)
     assert calc_loads(Model(pan, heavy_handle), (0.38, 0.0, 0.0), TABLE.corners) is None
     assert (
-        planner.decide(
-            (0.38, 0.0, 0.0), UncertainModel.of_parameters(Model(pan, heavy_handle))
-        ).action
+        planner.decide((0.38, 0.0, 0.0), Belief.of_parameters(Model(pan, heavy_handle))).action
         != "grasp"
     )
 
@@ -263,7 +259,7 @@ def test_slides_goals_and_pokes_keep_clear_of_what_else_lies_there(pan, parts, h
             path = simulate_near_edge(Model(pan, params), kept.planned.push, pose, TABLE).poses
             assert come_near(path, obstacle) > OBSTACLE_MARGIN - 0.003
 
-    model = UncertainModel.of_prior(pan)
+    model = Belief.of_prior(pan)
     beside = shapely.box(-0.2, 0.12, 0.4, 0.13)  # a wall along one side
     poke = PreGraspPlanner(pan, TABLE, obstacles=(beside,)).propose_poke(model, pose).push
     assert shapely.LineString(poke.xy).distance(beside) > OBSTACLE_MARGIN
@@ -298,12 +294,12 @@ def test_nothing_known_asks_for_a_poke_and_says_what_it_is_worth(pan, parts):
     assert "standard deviation" in decision.reason
     forecast = decision.forecast
     assert not forecast.across_edge
-    assert forecast.std == pytest.approx(calc_center_std(UncertainModel.of_prior(pan)))
+    assert forecast.std == pytest.approx(calc_center_std(Belief.of_prior(pan)))
     assert forecast.expected_std < forecast.std
     careful = PreGraspPlanner(
         pan, TABLE, PreGraspOptions(goal=GoalOptions(margin=0.06), max_pokes=5), parts
     )
-    prior = UncertainModel.of_prior(pan)
+    prior = Belief.of_prior(pan)
     asks = careful.decide((0.0, 0.0, 0.0), prior, pokes=4)
     assert asks.action == "poke"
     assert "across the edge" in asks.reason
@@ -322,11 +318,11 @@ def test_the_next_poke_says_what_the_one_before_was_worth():
 
 def test_what_no_poke_can_tell_is_not_poked_for(pan, parts):
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
-    prior = UncertainModel.of_prior(pan)
+    prior = Belief.of_prior(pan)
     sure = Posterior(
         prior.posterior.mean, 1e-6 * prior.posterior.covariance, prior.posterior.prior_covariance
     )
-    model = UncertainModel(pan, prior.params, sure, friction_range=(0.001, 1.0))
+    model = Belief(prior.bodies, posterior=sure, friction_range=(0.001, 1.0))
     decision = planner.decide((0.0, 0.0, 0.0), model, pokes=3)
     assert decision.action == "fail"
     assert "closer friction bounds" in decision.reason
@@ -335,9 +331,9 @@ def test_what_no_poke_can_tell_is_not_poked_for(pan, parts):
 def test_where_no_pose_can_be_grasped_at_pokes_are_not_wasted(pan, parts):
     clumsy = ArmLimits(can_grasp=lambda goal, masses: False)
     planner = PreGraspPlanner(pan, TABLE, PreGraspOptions(max_arm=0.1), parts, clumsy)
-    asks = planner.decide((0.0, 0.0, 0.0), UncertainModel.of_prior(pan), pokes=2)
+    asks = planner.decide((0.0, 0.0, 0.0), Belief.of_prior(pan), pokes=2)
     assert asks.action == "poke"
-    ends = planner.decide((0.0, 0.0, 0.0), UncertainModel.of_prior(pan), pokes=3)
+    ends = planner.decide((0.0, 0.0, 0.0), Belief.of_prior(pan), pokes=3)
     assert (ends.action, ends.goal) == ("fail", None)
     assert "within 100 mm of the center of mass" in ends.reason
     assert "arm can take it" in ends.reason
@@ -346,19 +342,17 @@ def test_where_no_pose_can_be_grasped_at_pokes_are_not_wasted(pan, parts):
 def test_a_part_too_far_off_is_hoped_for_while_the_center_may_be_nearer(pan, parts, heavy_plate):
     far = tuple(part for part in parts if part.p_BG[0] > 0.15)
     planner = PreGraspPlanner(pan, TABLE, PreGraspOptions(max_arm=0.1), far)
-    asks = planner.decide((0.0, 0.0, 0.0), UncertainModel.of_prior(pan), pokes=3)
+    asks = planner.decide((0.0, 0.0, 0.0), Belief.of_prior(pan), pokes=3)
     assert asks.action == "poke"
     assert "no pose lets" in asks.reason
-    ends = planner.decide(
-        (0.0, 0.0, 0.0), UncertainModel.of_parameters(Model(pan, heavy_plate)), pokes=3
-    )
+    ends = planner.decide((0.0, 0.0, 0.0), Belief.of_parameters(Model(pan, heavy_plate)), pokes=3)
     assert ends.action == "fail"
 
 
 def test_a_decision_forgets_where_the_object_was(pan, parts, heavy_plate):
     planner, model = (
         PreGraspPlanner(pan, TABLE, parts=parts),
-        UncertainModel.of_parameters(Model(pan, heavy_plate)),
+        Belief.of_parameters(Model(pan, heavy_plate)),
     )
     first = planner.decide((0.1, 0.0, 0.3), model)
     planner.decide((-0.2, 0.1, 2.0), model)
@@ -371,7 +365,7 @@ def test_a_plan_ends_with_something_to_grasp(pan, parts, heavy_plate, surface):
     planner = PreGraspPlanner(pan, surface, parts=parts)
     middle = surface.polygon.centroid
     plan = plan_pregrasp(
-        planner, UncertainModel.of_parameters(Model(pan, heavy_plate)), (middle.x, middle.y, 2.0)
+        planner, Belief.of_parameters(Model(pan, heavy_plate)), (middle.x, middle.y, 2.0)
     )
     assert plan.status == PreGraspPlanStatus.READY, plan.message
     assert 1 <= len(plan.pushes) == len(plan.poses) - 1
@@ -383,16 +377,16 @@ def test_a_plan_ends_with_something_to_grasp(pan, parts, heavy_plate, surface):
 def test_a_pose_that_is_none_is_refused(pan, parts, pose):
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
     with pytest.raises(PlanningError, match="expected three finite numbers"):
-        plan_pregrasp(planner, UncertainModel.of_prior(pan), pose)
+        plan_pregrasp(planner, Belief.of_prior(pan), pose)
 
 
 def test_a_plan_without_a_safe_goal_says_so(pan, parts):
     options = PreGraspOptions(goal=GoalOptions(margin=0.065))
     planner = PreGraspPlanner(pan, TABLE, options, parts)
-    plan = plan_pregrasp(planner, UncertainModel.of_prior(pan), (0.0, 0.0, 0.0))
+    plan = plan_pregrasp(planner, Belief.of_prior(pan), (0.0, 0.0, 0.0))
     assert plan.status == PreGraspPlanStatus.POKE_FIRST
     assert plan.poke is not None
-    certain = UncertainModel.of_parameters(Model(pan))
+    certain = Belief.of_parameters(Model(pan))
     assert plan_pregrasp(planner, certain, (0.0, 0.0, 0.0)).status == PreGraspPlanStatus.FAILED
 
 

@@ -19,11 +19,11 @@ from gridpush_drake.planning.edge_motion import (
     follow_near_edge,
     simulate_near_edge,
 )
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp import slides
 from gridpush_drake.planning.pregrasp.goals import find_pregrasp_goals
 from gridpush_drake.planning.pregrasp.grasp.grasp_parts import find_grasp_parts
 from gridpush_drake.planning.pregrasp.slides import SlideOptions, plan_slide
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.shapes import claw_hammer
 

@@ -14,16 +14,13 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.statistics.noise import NoiseModel
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.belief import PRIOR_AMPLITUDE, Belief
 from gridpush_drake.planning.edge_motion import simulate_near_edge
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.stability import (
     calc_stability_margin,
     calc_stability_margins,
     calc_support_polygon,
-)
-from gridpush_drake.planning.pregrasp.uncertainty import (
-    PRIOR_AMPLITUDE,
-    PlausibleMassSet,
-    UncertainModel,
 )
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -108,7 +105,7 @@ def test_masses_known_for_certain_leave_one_point(hammer):
 
 
 def test_what_was_learned_narrows_the_set_and_friction_widens_it(hammer):
-    prior = UncertainModel.of_prior(hammer).posterior
+    prior = Belief.of_prior(hammer).posterior
     sure = type(prior)(prior.mean, 1e-4 * prior.covariance, prior.prior_covariance)
     area = {
         (name, high): shapely.Polygon(
@@ -125,7 +122,7 @@ def test_a_known_center_of_mass_cuts_the_set_down():
     prior = PhysicalPrior(center_of_mass=(-0.02, 0.0), center_of_mass_std=0.001)
     obj = GridObject.from_outline(claw_hammer(), max_cells=60, prior=prior)
     corners = PlausibleMassSet.from_posterior(
-        obj, UncertainModel.of_prior(obj).posterior
+        obj, Belief.of_prior(obj).posterior
     ).center_of_mass_polygon
     assert np.abs(corners - (-0.02, 0.0)).max() <= 0.003 + 1e-12
 
@@ -284,7 +281,7 @@ def test_an_overhanging_rod_pushed_at_its_center_of_mass_hardly_turns(rod):
         ),
         (
             lambda obj: PlausibleMassSet.from_posterior(
-                obj, UncertainModel.of_prior(obj).posterior, (0.5, 0.2)
+                obj, Belief.of_prior(obj).posterior, (0.5, 0.2)
             ),
             "friction_range",
         ),
@@ -301,16 +298,14 @@ def found():
 
 
 def test_one_path_leads_from_an_identification_to_samples_and_masses(found):
-    model = UncertainModel.of_identification(
-        found, friction_range=(0.2, 0.5), sample_count=3, seed=7
-    )
+    model = Belief.of_identification(found, friction_range=(0.2, 0.5), sample_count=3, seed=7)
     assert model.params is found.params
     assert model.posterior is found.posterior
     noise = NoiseModel()
     expected = (found.noise_std / noise.pose, found.load_shift_std / noise.load_shift)
     assert model.noise_scale == pytest.approx(expected)
     for sample, expected in zip(model.samples, found.draws(3, seed=7), strict=True):
-        np.testing.assert_array_equal(sample.mass, expected.mass)
+        np.testing.assert_array_equal(sample.params.mass, expected.mass)
     expected = PlausibleMassSet.from_posterior(found.obj, found.posterior, (0.2, 0.5), seed=7)
     np.testing.assert_array_equal(model.masses.mass_min, expected.mass_min)
     np.testing.assert_array_equal(model.masses.mass_max, expected.mass_max)
@@ -318,7 +313,7 @@ def test_one_path_leads_from_an_identification_to_samples_and_masses(found):
 
 def test_the_prior_is_described_as_any_identification():
     obj = make_shape("square", 16)
-    model = UncertainModel.of_prior(obj)
+    model = Belief.of_prior(obj)
     prior = describe_prior(obj, MapEnsemble(hypotheses=(SmoothField(PRIOR_AMPLITUDE),)))
     np.testing.assert_array_equal(model.posterior.covariance, prior.posterior.covariance)
     np.testing.assert_allclose(np.diag(model.posterior.covariance)[:-1].mean(), PRIOR_AMPLITUDE**2)
@@ -328,7 +323,7 @@ def test_the_prior_is_described_as_any_identification():
 def test_parameters_taken_for_granted_leave_nothing_to_learn():
     obj = make_shape("square", 16)
     params = CellParameters.uniform(obj)
-    model = UncertainModel.of_parameters(Model(obj, params))
+    model = Belief.of_parameters(Model(obj, params))
     assert model.samples == ()
     np.testing.assert_array_equal(model.masses.mass_min, model.masses.mass_max)
     with pytest.raises(PlanningError, match="taken for granted"):
@@ -342,10 +337,10 @@ def test_knows_where_pokes_began_in_the_body_frame(found):
     seen = ObservedPush(
         "poke", Push(tuple(start), (0.03, 0.0), 1.0, 0.008), pose, np.array([1.0]), pose[None]
     )
-    model = UncertainModel.of_identification(found, log=PushLog((seen,)))
+    model = Belief.of_identification(found, log=PushLog((seen,)))
     np.testing.assert_allclose(model.poke_starts, p_BS[None], atol=1e-12)
 
 
 def test_refuses_a_friction_range_that_is_none(found):
     with pytest.raises(PlanningError, match="friction_range"):
-        _ = UncertainModel.of_identification(found, friction_range=(0.5, 0.2)).masses
+        _ = Belief.of_identification(found, friction_range=(0.5, 0.2)).masses

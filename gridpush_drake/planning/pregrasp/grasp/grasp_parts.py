@@ -25,9 +25,9 @@ from shapely import Polygon, affinity
 
 from gridpush_drake.geometry.se2 import Array, make_direction, make_rotation, transform
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp.grasp.gripper import Gripper, PadLimit, Rectangle
 from gridpush_drake.planning.pregrasp.grasp.side_grasp import SideGrasp, find_side_grasps
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 
 MIN_PIECE_FRACTION = 0.95

@@ -49,7 +49,7 @@ from gridpush_drake.errors import MAX_NUMBER, PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS
-from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
+from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
 
 USED_FRACTION = 0.8
