@@ -7,10 +7,20 @@ campaign (`station.campaign.episodes`) with the shipped scenario.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from gridpush_drake.bench.study import OBJECTS_OPTION, Done, JobKind, Study, StudyOptions, option
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.report.table import Table, by_object, calc_mean, count_of, mean_of
+from gridpush_drake.report.table import (
+    Column,
+    Proportion,
+    Table,
+    by_object,
+    calc_mean,
+    count_of,
+    mean_of,
+)
 from gridpush_drake.station.campaign.episodes import (
     DROPPED_OUTCOME,
     GAVE_UP,
@@ -22,7 +32,7 @@ from gridpush_drake.station.campaign.episodes import (
 from gridpush_drake.station.schema.camera_config import CameraKind
 from gridpush_drake.station.schema.scenario_file import format_scenario, read_scenario
 from gridpush_drake.station.tasks.task import TaskStatus
-from gridpush_drake.units import MM_PER_M
+from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
 
 DEFAULT_OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 """Shipped objects that are grasped by default."""
@@ -88,8 +98,13 @@ def make_jobs(options: GraspBenchOptions) -> list[EpisodeJob]:
 
 
 def tabulate(options: GraspBenchOptions, done: Done) -> list[Table]:
-    """Tabulates the episodes by object."""
-    return [tabulate_episodes(done.of(EPISODE_JOBS), options.names)]
+    """Tabulates the episodes by object, and what was learned where it was not told."""
+    episodes = done.of(EPISODE_JOBS)
+    weighed = [run for run in episodes if run.mass_holds is not None]
+    return [
+        tabulate_episodes(episodes, options.names),
+        *([tabulate_learned(weighed, options.names)] if weighed else []),
+    ]
 
 
 def tabulate_episodes(episodes: Sequence[EpisodeOutcome], objects: Sequence[str]) -> Table:
@@ -125,6 +140,37 @@ def tabulate_episodes(episodes: Sequence[EpisodeOutcome], objects: Sequence[str]
     ]
     title = "The whole story in the station: poke, learn, slide, grasp, lift, hold"
     return Table.of(title, ("object",), by_object(episodes, objects, key="object"), columns, notes)
+
+
+def tabulate_learned(episodes: Sequence[EpisodeOutcome], objects: Sequence[str]) -> Table:
+    """Makes a row for each object and one of all: errors at the end, and intervals that hold."""
+    columns = {
+        "runs": len,
+        "mass off, %": _size_of("mass_error", PERCENT_PER_ONE),
+        "CoM off, mm": _size_of("center_of_mass_error", MM_PER_M),
+        "friction off": _size_of("friction_error"),
+        "mass inside": _share_of("mass_holds"),
+        "CoM inside": _share_of("center_holds"),
+        "friction inside": _share_of("friction_holds"),
+    }
+    notes = [
+        "off: medians of the errors' sizes. inside: runs whose stated 95 % interval, or region, holds "
+        "the truth, with 95 % Wilson intervals."
+    ]
+    title = "What was learned of objects of which neither mass nor friction was told"
+    return Table.of(title, ("object",), by_object(episodes, objects, key="object"), columns, notes)
+
+
+def _size_of(field: str, scale: float = 1.0) -> Column:
+    """Makes a column: the median size of a field."""
+    return lambda runs: scale * float(np.median([abs(getattr(run, field)) for run in runs]))
+
+
+def _share_of(field: str) -> Column:
+    """Makes a column: how many runs have a field that is true, with its interval."""
+    return lambda runs: Proportion.of(
+        sum(getattr(run, field) for run in runs), len(runs)
+    ).describe()
 
 
 EPISODE_JOBS = JobKind(job=EpisodeJob, run=run_episode, describe=EpisodeJob.describe)

@@ -3,10 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.grasp import STUDY, tabulate_episodes
+from gridpush_drake.bench.grasp import STUDY, tabulate, tabulate_episodes
+from gridpush_drake.bench.study import Done
 from gridpush_drake.cli.main import main
 from gridpush_drake.errors import GridPushError, ObjectError
-from gridpush_drake.station.campaign.episodes import DROPPED_OUTCOME, GAVE_UP, EpisodeOutcome
+from gridpush_drake.station.campaign.episodes import (
+    DROPPED_OUTCOME,
+    GAVE_UP,
+    EpisodeJob,
+    EpisodeOutcome,
+)
 
 HELD = EpisodeOutcome(
     "pliers", 0, "held", "It was lifted.", "held", 6, 4, 2, 0.1, 0.002, 60.0, 30.0
@@ -68,6 +74,27 @@ def test_the_table_counts_what_happened():
         "toolbox, seed 0: dropped. It fell.",
         "toolbox, seed 1: stuck. Nothing.",
     ]
+
+
+def test_what_was_learned_has_a_table_where_objects_were_weighed():
+    weighed = replace(
+        HELD,
+        mass_error=-0.02,
+        friction_error=0.01,
+        mass_holds=True,
+        center_holds=True,
+        friction_holds=False,
+    )
+    runs = [weighed, replace(weighed, seed=1, mass_error=0.04, mass_holds=False), HELD]
+    options = replace(STUDY.options(), objects=("pliers",))
+    done = Done([(EpisodeJob(object=run.object, seed=run.seed, scenario=""), run) for run in runs])
+    _, learned = tabulate(options, done)
+    row = dict(zip(learned.columns, learned.rows[-1], strict=True))
+    assert (row["runs"], row["mass off, %"], row["CoM off, mm"]) == (2, pytest.approx(3.0), 2.0)
+    inside = [row[f"{what} inside"].split(" (")[0] for what in ("mass", "CoM", "friction")]
+    assert inside == ["1", "2", "0"]
+    # of objects that were told there is nothing to say
+    assert len(tabulate(options, Done(done.pairs[2:]))) == 1
 
 
 def test_refuses_what_makes_no_sense():
