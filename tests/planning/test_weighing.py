@@ -510,7 +510,7 @@ def test_a_planner_weighs_where_the_other_gives_up():
     # After many slides and no press it is slid no further to be weighed, and the reason says so;
     # each press allows more of them. Where it can be pressed as it lies, it is.
     options = weighing.weighing
-    never = replace(model, belief=replace(belief, presses=0))
+    never = replace(model, absolute=replace(belief, presses=0))
     stopped = weighing.decide(inside, never, slides=options.first_slides)
     assert stopped.action == "fail"
     assert stopped.reason.endswith(
