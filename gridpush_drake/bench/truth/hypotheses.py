@@ -92,7 +92,7 @@ REPORTED_SEED = 1000
 def make_sets() -> dict[str, MapEnsemble]:
     """Makes the sets of hypotheses that are compared, by name."""
     # No object here has parts that the learner sees.
-    asked = [one for one in DEFAULT_HYPOTHESES if one != UniformParts()]
+    asked = [one for one in DEFAULT_HYPOTHESES if not isinstance(one, UniformParts)]
     others = [one for one in asked if one.field_amplitude is None]
     sets = {ALL_HYPOTHESES: MapEnsemble()}
     for left_out in others:
