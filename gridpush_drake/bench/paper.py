@@ -230,6 +230,8 @@ class PaperBenchOptions(StudyOptions):
         budget: greatest number of simulated pushes of an identification. The default method decides
             itself how much of it it spends.
         show_parts: whether the default method sees which cells are of one part.
+        density_spread: geometric standard deviation of the densities that it is told of these
+            parts; None to tell none.
         figure: file of a figure of the error against the number of simulations; None for none.
     """
 
@@ -242,6 +244,14 @@ class PaperBenchOptions(StudyOptions):
     budget: int = option(DEFAULT_BUDGET, "Most simulated pushes of an identification.", least=1)
     show_parts: bool = option(
         False, "Show the learner which cells are of one part, as by their colors."
+    )
+    density_spread: float | None = option(
+        None,
+        "With --show-parts, also tell the learner the density of each part, wrong by a random "
+        "factor of this geometric standard deviation, which it is told, too: 1.2 or 2.",
+        metavar="FACTOR",
+        shown="no densities",
+        least=1,
     )
     figure: Path | None = option(
         None,
@@ -280,6 +290,8 @@ class PaperJob:
         budgets: greatest numbers of simulated pushes.
         seed: seed of everything random.
         show_parts: whether the learner sees which cells are of one part.
+        density_spread: geometric standard deviation of the densities that it is told of these
+            parts; None to tell none.
     """
 
     data: Path | None
@@ -290,6 +302,7 @@ class PaperJob:
     budgets: tuple[int, ...]
     seed: int
     show_parts: bool = False
+    density_spread: float | None = None
 
 
 def shorten(options: PaperBenchOptions) -> PaperBenchOptions:
@@ -311,6 +324,10 @@ def make_jobs(options: PaperBenchOptions) -> list[PaperJob]:
     protocol = make_protocol(options.folder, options.seed)
     names = _list_names(options, protocol)
     _check(protocol, names, options.chosen_methods, options.budget, options.sets)
+    if options.density_spread is not None and not options.show_parts:
+        raise GridPushError(
+            f"density spread: {options.density_spread:g}; expected --show-parts with it"
+        )
     if options.figure is not None:
         check_figure(options.figure, options.force)
     others = [count for count in protocol.splits if count != TRAINING_PUSHES]
@@ -326,6 +343,7 @@ def make_jobs(options: PaperBenchOptions) -> list[PaperJob]:
                 budgets=options.budgets,
                 seed=options.seed,
                 show_parts=options.show_parts,
+                density_spread=options.density_spread,
             )
             jobs.append(job)
             if DEFAULT_METHOD in options.chosen_methods:
@@ -370,7 +388,9 @@ def run_job(job: PaperJob) -> list[PaperScore]:
     The default method decides itself how much it spends, so that it learns only once.
     """
     protocol = make_protocol(job.data, job.seed)
-    case = _make_case(job.data, job.seed, job.name, job.mass_set, job.show_parts)
+    case = _make_case(
+        job.data, job.seed, job.name, job.mass_set, job.show_parts, job.density_spread
+    )
     split = protocol.splits[job.training][job.mass_set]
     train = case.log.subset(split.train)
     test = case.log.subset(split.test)
@@ -423,9 +443,14 @@ def _check(
 
 @lru_cache(maxsize=1)
 def _make_case(
-    data: Path | None, seed: int, name: str, mass_set: int, show_parts: bool
+    data: Path | None,
+    seed: int,
+    name: str,
+    mass_set: int,
+    show_parts: bool,
+    density_spread: float | None,
 ) -> ProtocolCase:
-    return make_case(make_protocol(data, seed), name, mass_set, show_parts)
+    return make_case(make_protocol(data, seed), name, mass_set, show_parts, density_spread)
 
 
 def write_figure(

@@ -250,9 +250,11 @@ class GridObject(Frozen):
         schema = read_object_file(path)
         name = path.stem if schema.name is None else schema.name
         try:
+            grid = make_cells(schema, name, path.parent, largest_piece)
+            schema.check_materials(grid.labels)
             return cls(
                 name,
-                *make_cells(schema, name, path.parent, largest_piece),
+                *grid,
                 schema.to_prior(),
                 schema.height,
                 schema.to_outline_pose(),

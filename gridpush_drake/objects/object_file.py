@@ -17,7 +17,7 @@ from pydantic import Field, Strict, field_validator, model_validator
 from shapely import LinearRing, Polygon
 
 from gridpush_drake.errors import ObjectError, ParameterError
-from gridpush_drake.geometry.se2 import check_vector
+from gridpush_drake.geometry.se2 import IntArray, check_vector
 from gridpush_drake.objects.cells import (
     DEFAULT_MAX_CELLS,
     MAX_CELLS,
@@ -49,6 +49,16 @@ LEAST_MASS = 1e-9
 GREATEST_MASS = 1e6
 """Largest mass of an object, kg."""
 
+LEAST_DENSITY = 1e-6
+"""Smallest density of a material, in the unit that the file uses for all of them."""
+
+GREATEST_DENSITY = 1e6
+"""Largest density of a material, in the same unit."""
+
+GREATEST_SPREAD = 100.0
+"""Largest factor by which a material's density may be off. A density that may be off by more is as
+good as unknown, and its material is better left out."""
+
 _RANGES = {
     "total_mass": (LEAST_MASS, GREATEST_MASS),
     "center_of_mass_std": (LEAST_SPREAD, MAX_SIZE),
@@ -75,6 +85,43 @@ of these bounds."""
 
 
 @dataclass(frozen=True)
+class PartMaterial:
+    """What a part of an object is expected to be made of.
+
+    Only the ratios of the densities of an object's materials count, so that their unit is free, as
+    long as all have the same.
+
+    Attributes:
+        label: the part's label.
+        name: the material's name, such as steel.
+        density: its density. In kg/m³ it is taken for granted that all parts are about equally
+            thick; where the thicknesses are known, kg/m² is better.
+        spread: geometric standard deviation of the density: the factor, 1 or more, by which the
+            part may well be denser or less dense. It covers the thickness, too.
+
+    Raises:
+        ParameterError: a value is out of range.
+    """
+
+    label: int
+    name: str
+    density: float
+    spread: float
+
+    def __post_init__(self) -> None:
+        for name, (least, greatest) in (
+            ("density", (LEAST_DENSITY, GREATEST_DENSITY)),
+            ("spread", (1.0, GREATEST_SPREAD)),
+        ):
+            value = getattr(self, name)
+            if not least <= value <= greatest:
+                raise ParameterError(
+                    f"materials: {self.name}: {name} is {value!r}; expected a number from "
+                    f"{least:g} to {greatest:g}"
+                )
+
+
+@dataclass(frozen=True)
 class PhysicalPrior:
     """Prior knowledge of an object, all of it optional.
 
@@ -92,6 +139,8 @@ class PhysicalPrior:
             radius. None where nothing is said of it: every cell is then taken to bear its own
             weight.
         uniform_parts: whether the cells of a part may be of one material, as where they look alike.
+        materials: what parts are expected to be made of, each part once. The cells of such a part
+            may be of one material, whatever `uniform_parts` says.
 
     Raises:
         ParameterError: a value is out of range.
@@ -108,6 +157,7 @@ class PhysicalPrior:
     pusher_radius: float | None = None
     push_height: float | None = None
     uniform_parts: bool = False
+    materials: tuple[PartMaterial, ...] = ()
 
     @property
     def friction_std(self) -> float:
@@ -120,7 +170,10 @@ class PhysicalPrior:
         return float(np.log(self.friction_max / self.friction_min)) / UNIFORM_WIDTH
 
     def forget(self) -> "PhysicalPrior":
-        """Makes the prior of an object of which nothing is told: mass, center or friction."""
+        """Makes the prior of an object of which nothing is told: mass, center or friction.
+
+        Which parts look alike can still be seen.
+        """
         low, high = UNKNOWN_FRICTION
         return replace(
             self,
@@ -129,6 +182,7 @@ class PhysicalPrior:
             friction=SUPPOSED_FRICTION,
             friction_min=low,
             friction_max=high,
+            materials=(),
         )
 
     def __post_init__(self) -> None:
@@ -145,6 +199,10 @@ class PhysicalPrior:
                 f"friction.prior is {self.friction!r}; expected min <= prior <= max, "
                 f"here {self.friction_min} to {self.friction_max}"
             )
+        labels = [material.label for material in self.materials]
+        twice = next((label for label in labels if labels.count(label) > 1), None)
+        if twice is not None:
+            raise ParameterError(f"materials: label {twice} occurs twice; expected each part once")
         if self.center_of_mass is not None:
             x, y = check_vector(
                 ParameterError, "center_of_mass.at", self.center_of_mass, 2
@@ -246,6 +304,25 @@ class PartSchema(StrictSchema):
 
     label: Label = Field(description=EXPECTED_LABEL)
     outline: Points
+
+
+class MaterialSchema(StrictSchema):
+    """What a part is expected to be made of; see `PartMaterial`."""
+
+    label: Label = Field(description=EXPECTED_LABEL)
+    name: str = Field(min_length=1, max_length=MAX_NAME, description=EXPECTED_NAME)
+    density: Annotated[float, Field(ge=LEAST_DENSITY, le=GREATEST_DENSITY)] = Field(
+        description="a positive number, in kg/m³ or in kg/m², the same for all parts"
+    )
+    spread: Annotated[float, Field(ge=1, le=GREATEST_SPREAD)] = Field(
+        description=f"a factor, 1 or more, at most {GREATEST_SPREAD:g}"
+    )
+
+    def to_material(self) -> PartMaterial:
+        """Makes the `PartMaterial` that the file describes."""
+        return PartMaterial(
+            label=self.label, name=self.name, density=self.density, spread=self.spread
+        )
 
 
 class CellsSchema(StrictSchema):
@@ -381,6 +458,9 @@ class ObjectSchema(StrictSchema):
         None, description="radius and, where it is known, height, in meters"
     )
     uniform_parts: bool = Field(False, description="true or false")
+    materials: list[MaterialSchema] = Field(
+        [], description="a list of materials, each with label, name, density and spread"
+    )
 
     @field_validator("name")
     @classmethod
@@ -434,7 +514,25 @@ class ObjectSchema(StrictSchema):
             pusher_radius=self.pusher.radius if self.pusher else None,
             push_height=self.pusher.height if self.pusher else None,
             uniform_parts=self.uniform_parts,
+            materials=tuple(one.to_material() for one in self.materials),
         )
+
+    def check_materials(self, labels: IntArray) -> None:
+        """Refuses a material of a part that the object does not have.
+
+        Args:
+            labels: (n,) labels of the object's cells.
+
+        Raises:
+            ObjectError: no cell has the material's label.
+        """
+        known = np.unique(labels).tolist()
+        for i, material in enumerate(self.materials):
+            if material.label not in known:
+                raise ObjectError(
+                    f"materials[{i}].label is {material.label}; expected a part that has cells: "
+                    f"{', '.join(map(str, known))}"
+                )
 
 
 RENAMED_KEYS = {
@@ -559,6 +657,8 @@ def describe_object(
             data["pusher"]["height"] = float(prior.push_height)
     if prior.uniform_parts:
         data["uniform_parts"] = True
+    if prior.materials:
+        data["materials"] = [asdict(material) for material in prior.materials]
     return data
 
 

@@ -34,7 +34,8 @@ class ObjectNaming:
 
     Attributes:
         name: name that the object gets.
-        prior: prior of its mass and friction; None for the default one.
+        prior: prior of its mass and friction; None for the default one. Which parts are seen, and
+            that each may be of one material, the picture tells.
         heading: direction of the x axis of its body frame in W, rad.
     """
 
@@ -231,7 +232,13 @@ def find_in_frame(
         x, y, _ = detected.X_WB
         detected = replace(detected, X_WB=np.array([x, y, naming.heading]))
         obj = detected.make_grid_object(name=naming.name)
-        return detected, obj if naming.prior is None else replace(obj, prior=naming.prior)
+        if naming.prior is None:
+            return detected, obj
+        # Labels are those of the parts in the picture, and not those of a file's materials.
+        prior = replace(
+            naming.prior, uniform_parts=obj.prior.uniform_parts, materials=obj.prior.materials
+        )
+        return detected, replace(obj, prior=prior)
     except GridPushError as error:
         return str(error)
 

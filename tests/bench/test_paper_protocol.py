@@ -135,6 +135,14 @@ def test_the_identifier_sees_neither_parts_nor_masses(made_folder):
     shown = make_case(make_protocol(made_folder), "ell", mass_set=0, show_parts=True)
     assert set(shown.obj.labels) == {1, 2} and shown.obj.prior.uniform_parts
     assert shown.log[0].final_pose.tolist() == case.log[0].final_pose.tolist()
+    told = make_case(
+        make_protocol(made_folder), "ell", mass_set=0, show_parts=True, density_spread=1.5
+    )
+    assert told.log[0].final_pose.tolist() == case.log[0].final_pose.tolist()
+    true = make_protocol(made_folder).masses["ell"][0]
+    off = np.log([one.density for one in told.obj.prior.materials]) - np.log(true)
+    assert (np.abs(off) > 0).all() and (np.abs(off) < 5 * np.log(1.5)).all()
+    assert {one.spread for one in told.obj.prior.materials} == {1.5}
     assert case.obj.prior == PhysicalPrior()
 
 

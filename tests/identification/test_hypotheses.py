@@ -13,6 +13,7 @@ from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.identification.fit.hypotheses import (
     DEFAULT_HYPOTHESES,
     Concentrated,
+    NamedMaterials,
     Ring,
     TwoParts,
     UniformParts,
@@ -21,6 +22,8 @@ from gridpush_drake.identification.fit.load_modes import (
     CUT_ANGLES,
     MIN_PART,
     RING_WIDTH,
+    calc_material_loads,
+    calc_material_stds,
     calc_part_modes,
     calc_radius_mode,
     find_corners,
@@ -35,9 +38,11 @@ from gridpush_drake.identification.fit.load_prior import (
 )
 from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
 from gridpush_drake.identification.fit.mode_choice import ALIKE_CORRELATION, calc_cut_evidence
-from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.identification.statistics.center_of_mass import FRICTION_STD
+from gridpush_drake.objects.object_file import PartMaterial
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
@@ -309,6 +314,75 @@ def test_parts_that_look_alike_are_learned_from_two_pushes_and_paint_does_no_har
         errors[name, seen] += calc_mean_cell_error(Model(obj, found.params, found.physics), test)
     assert errors["parts", True] < 0.6 * errors["parts", False]
     assert errors["paint", True] < errors["paint", False] + 3e-4
+
+
+def name_materials(obj, densities, spread):
+    """The object with densities told of its parts 1, 2, ..., each to within a factor."""
+    told = tuple(
+        PartMaterial(label=label, name=f"material {label}", density=density, spread=spread)
+        for label, density in enumerate(densities, start=1)
+    )
+    return replace(obj, prior=replace(obj.prior, materials=told))
+
+
+def test_named_materials_tell_ratios_of_loads_and_how_far_they_may_be_off() -> None:
+    obj = make_shape("l_bracket", 20)
+    obj = replace(obj, labels=1 + np.arange(obj.n) % 3)
+    told = name_materials(obj, [700.0, 7800.0], spread=1.5)
+    m = calc_material_loads(told)
+    np.testing.assert_allclose(np.exp(m).mean(), 1)  # the whole load stays as it is
+    steel, wood, untold = (m[obj.labels == label] for label in (2, 1, 3))
+    np.testing.assert_allclose(np.exp(steel[0] - wood), 7800 / 700)
+    np.testing.assert_allclose(untold, (steel[0] + wood[0]) / 2)
+    np.testing.assert_allclose(
+        calc_material_loads(name_materials(obj, [0.7, 7.8], spread=1.5)), m, atol=1e-12
+    )
+    stds = calc_material_stds(told, unknown_std=1.5)
+    np.testing.assert_allclose(stds, [np.hypot(np.log(1.5), FRICTION_STD)] * 2 + [1.5])
+
+    residuals, J = make_evidence(obj, 30, seed=3)
+    setting = HypothesisInputs(told, np.zeros(obj.n + 1), MU_STD)
+    asked = setting.with_pushes(LinearizedPushes(residuals, J))
+    (prior,) = NamedMaterials().propose(asked)
+    np.testing.assert_allclose(prior.mean, np.append(m, 0))
+    # The fit begins at the most probable z of the linear pushes under this prior.
+    gradient = np.linalg.solve(prior.factor @ prior.factor.T, prior.start - prior.mean)
+    np.testing.assert_allclose(gradient + J.T @ (residuals + J @ prior.start), 0, atol=1e-6)
+    assert len(UniformParts().propose(asked)) == 1  # named parts are uniform ones, too
+    assert NamedMaterials().propose(replace(asked, obj=obj)) == []
+    of_one = replace(told, labels=np.ones(obj.n, dtype=int))
+    assert NamedMaterials().propose(replace(asked, obj=of_one)) == []
+
+
+def test_an_object_of_named_materials_bears_as_they_say_before_any_push() -> None:
+    shape = make_shape("claw_hammer", 60)
+    labels = np.where(shape.p_BC[:, 0] > np.median(shape.p_BC[:, 0]), 2, 1)
+    told = name_materials(replace(shape, labels=labels), [1.0, 8.0], spread=1.5)
+    mass = describe_prior(told).params.mass
+    np.testing.assert_allclose(mass[labels == 2].min() / mass[labels == 1].max(), 8.0)
+    np.testing.assert_allclose(mass.sum(), describe_prior(shape).params.mass.sum())
+
+
+def test_named_materials_are_learned_from_one_push_and_wrong_ones_do_no_harm() -> None:
+    shape = make_shape("claw_hammer", 60)
+    labels = np.where(shape.p_BC[:, 0] > np.median(shape.p_BC[:, 0]), 2, 1)
+    labels[shape.p_BC[:, 1] > np.quantile(shape.p_BC[:, 1], 0.8)] = 3
+    densities = np.array([1.0, 6.0, 0.3])
+    looks = see_parts(shape, labels)
+    told = {
+        "looks": looks,
+        "right": name_materials(looks, densities, spread=1.2),
+        "off": name_materials(looks, densities * [2.0, 0.5, 2.0], spread=2.0),
+    }
+    truth = CellParameters(densities[labels - 1], np.full(shape.n, 0.4), 0.4)
+    errors = dict.fromkeys(told, 0.0)
+    for (name, obj), seed in product(told.items(), range(3)):
+        train = make_pokes(obj, truth, 1, seed, noise=(5e-4, 3.5e-3))
+        test = make_pokes(obj, truth, 10, 100 + seed)
+        found = identify(Model(obj), train)
+        errors[name] += calc_mean_cell_error(Model(obj, found.params, found.physics), test)
+    assert errors["right"] < 0.5 * errors["looks"]
+    assert errors["off"] < errors["looks"]
 
 
 def test_nothing_is_proposed_where_no_parts_are_known() -> None:

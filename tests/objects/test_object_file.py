@@ -8,6 +8,7 @@ from PIL import Image
 from gridpush_drake.errors import ObjectError, OutputError
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import (
+    PartMaterial,
     SeenSchema,
     TagSchema,
     dump_object,
@@ -29,6 +30,8 @@ friction: {prior: 0.3, min: 0.1, max: 0.9}
 contact_friction: {prior: 0.45, std: 0.1}
 pusher: {radius: 0.0005}
 uniform_parts: true
+materials:
+  - {label: 2, name: steel, density: 7.8e+3, spread: 1.2}
 """
 BASE = "outline: [[0, 0], [0.1, 0], [0.1, 0.1]]\n"
 
@@ -45,7 +48,17 @@ def test_whole_file(tmp_path):
     assert 50 <= obj.n <= 60
     assert set(obj.labels) == {1, 2}
     assert obj.prior == PhysicalPrior(
-        1.518, (0.0, 0.001), 0.003, 0.3, 0.1, 0.9, 0.45, 0.1, 0.0005, uniform_parts=True
+        1.518,
+        (0.0, 0.001),
+        0.003,
+        0.3,
+        0.1,
+        0.9,
+        0.45,
+        0.1,
+        0.0005,
+        uniform_parts=True,
+        materials=(PartMaterial(label=2, name="steel", density=7800.0, spread=1.2),),
     )
     obj.write_yaml(tmp_path / "again.yaml")
     assert GridObject.from_yaml(tmp_path / "again.yaml").prior == obj.prior
@@ -139,6 +152,26 @@ def test_pieces_of_one_part_may_be_listed_apart(tmp_path):
         (
             BASE + "parts: [{label: 1, outline: [[0, 0], [1, 0], [2, 0]]}]\n",
             r"parts\[0\]\.outline encloses no area",
+        ),
+        (
+            BASE + "materials: [{label: 3, name: oak, density: 700, spread: 1.2}]\n",
+            r"materials\[0\]\.label is 3; expected a part that has cells: 1$",
+        ),
+        (
+            BASE + "materials: [{label: 1, name: oak, density: -7, spread: 1.2}]\n",
+            r"materials\[0\]\.density is -7; expected a positive number, in kg/m³",
+        ),
+        (
+            BASE + "materials: [{label: 1, name: oak, density: 700, spread: 0.2}]\n",
+            r"materials\[0\]\.spread is 0\.2; expected a factor, 1 or more",
+        ),
+        (
+            BASE + 2 * "materials: [{label: 1, name: oak, density: 7, spread: 2}]\n",
+            "'materials' occurs twice",
+        ),
+        (
+            BASE + "materials:\n" + 2 * "  - {label: 1, name: oak, density: 7, spread: 2}\n",
+            "materials: label 1 occurs twice",
         ),
         (BASE + "holes: [[[5, 5], [6, 5], [6, 6]]]\n", "outline is not a simple polygon"),
         (BASE + "mask: {image: a.png, meters_per_pixel: 1}\n", "both of outline and mask"),

@@ -1,5 +1,6 @@
 """The color and depth camera of the station: where things are in its pictures; what the robot makes of the first."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 import shapely
 from pydrake.systems.analysis import Simulator
 from scipy import ndimage
+from scipy.spatial import KDTree
 
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.geometry.se2 import wrap_angle
@@ -18,6 +20,7 @@ from gridpush_drake.multibody.ground_truth import (
 )
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.perception import Camera
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import record_pushes
@@ -112,13 +115,32 @@ def test_the_robot_finds_the_object_that_lies_there(photograph):
     assert seen.intersection(true).area / seen.union(true).area > 0.95
     assert seen.area == pytest.approx(true.area, rel=0.02)
     assert found.obj.height == pytest.approx(scenario.object_height, abs=0.001)
-    assert found.obj.prior == true_obj.prior and found.obj.name == true_obj.name
+    prior = replace(true_obj.prior, uniform_parts=True)  # for handle and head differ in color
+    assert found.obj.prior == prior and found.obj.name == true_obj.name
+    true_labels = found.true_obj.labels[KDTree(found.true_obj.p_BC).query(found.obj.p_BC)[1]]
+    largest = np.argmax(np.bincount(true_labels))
+    assert ((found.obj.labels == 1) == (true_labels == largest)).mean() > 0.95
     assert found.pose[2] == scenario.object_pose[2]
     shift = true_obj.p_BC - found.true_obj.p_BC
     np.testing.assert_allclose(
         shift, np.tile(found.pose[:2] - scenario.object_pose[:2], (true_obj.n, 1)), atol=1e-12
     )
     assert found.detected.picture.shape == (480, 640, 3)
+
+
+@pytest.mark.parametrize("name", ["claw_hammer", "pliers", "toolbox"])
+def test_an_outline_is_divided_among_the_parts_of_its_cells(name):
+    obj = GridObject.from_yaml(find_shipped_object(name)).place((0.1, 0.2, 0.3))
+    areas = station_camera.divide_outline(obj)
+    assert shapely.union_all(areas, grid_size=1e-9).area == pytest.approx(obj.outline.area)
+    assert sum(area.area for area in areas) == pytest.approx(obj.outline.area)
+    labels, counts = np.unique(obj.labels, return_counts=True)
+    for label, area in zip(labels[np.argsort(-counts)], areas, strict=True):
+        own = obj.labels == label
+        inside = shapely.contains_xy(area.buffer(obj.cell_size / 2), *obj.p_BC.T)
+        assert inside[own].all() and inside[~own].mean() < 0.3
+    alone = replace(obj, labels=np.ones(obj.n, dtype=int))
+    assert station_camera.divide_outline(alone) == [obj.outline]
 
 
 @pytest.mark.slow

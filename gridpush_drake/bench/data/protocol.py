@@ -13,7 +13,7 @@ there is one, in place of what is drawn.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -31,7 +31,11 @@ from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.mask import read_labels
-from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
+from gridpush_drake.objects.object_file import (
+    PartMaterial,
+    find_shipped_object,
+    list_shipped_objects,
+)
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -297,7 +301,11 @@ def _read_document(drawn: Drawn, expected: str, read: Callable[[Any], Drawn]) ->
 
 
 def make_case(
-    protocol: Protocol, name: str, mass_set: int, show_parts: bool = False
+    protocol: Protocol,
+    name: str,
+    mass_set: int,
+    show_parts: bool = False,
+    density_spread: float | None = None,
 ) -> ProtocolCase:
     """Simulates the ten pushes of an object with one of its hidden mass sets.
 
@@ -306,6 +314,8 @@ def make_case(
         name: name of the object.
         mass_set: number of its mass set.
         show_parts: whether whoever learns sees which cells are of one part, as by their colors.
+        density_spread: geometric standard deviation of the densities that whoever sees the parts is
+            told of them; None to tell none.
 
     Raises:
         GridPushError: the protocol has no such object.
@@ -315,15 +325,39 @@ def make_case(
             f"objects: {name!r} is not in the protocol; expected one of "
             f"{', '.join(protocol.masses)}"
         )
+    masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     prior = PhysicalPrior(friction=SUPPORT_FRICTION, uniform_parts=show_parts)
+    if density_spread is not None:
+        rng = np.random.default_rng([mass_set, crc32(name.encode())])
+        prior = replace(prior, materials=tell_materials(masses, density_spread, rng))
     obj = replace(read_object(protocol, name), name=name, prior=prior)
     mask = protocol.masks.get(name)
     columns = None if mask is None else read_labels(mask).labels.shape[1]
-    masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
     log = push_object(obj, truth, columns)
     seen = obj if show_parts else hide_parts(obj)
     return ProtocolCase(seen, replace(log, source=f"{name}, mass set {mass_set}"))
+
+
+def tell_materials(
+    masses: Mapping[int, float], spread: float, rng: np.random.Generator
+) -> tuple[PartMaterial, ...]:
+    """Tells the densities of an object's parts, each wrong by a factor of its own.
+
+    Args:
+        masses: mass of a cell of each label, kg.
+        spread: geometric standard deviation of the factors, which is told, too.
+        rng: draws them.
+    """
+    return tuple(
+        PartMaterial(
+            label=label,
+            name=f"part {label}",
+            density=mass * float(spread ** rng.standard_normal()),
+            spread=spread,
+        )
+        for label, mass in masses.items()
+    )
 
 
 def push_object(obj: GridObject, truth: CellParameters, columns: int | None = None) -> PushLog:

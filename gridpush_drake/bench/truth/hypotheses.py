@@ -33,7 +33,11 @@ from gridpush_drake.bench.truth.sets import (
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.fit.hypotheses import DEFAULT_HYPOTHESES, UniformParts
+from gridpush_drake.identification.fit.hypotheses import (
+    DEFAULT_HYPOTHESES,
+    NamedMaterials,
+    UniformParts,
+)
 from gridpush_drake.identification.fit.map_ensemble import MapEnsemble
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
@@ -92,7 +96,8 @@ REPORTED_SEED = 1000
 def make_sets() -> dict[str, MapEnsemble]:
     """Makes the sets of hypotheses that are compared, by name."""
     # No object here has parts that the learner sees.
-    asked = [one for one in DEFAULT_HYPOTHESES if one != UniformParts()]
+    of_parts = (UniformParts(), NamedMaterials())
+    asked = [one for one in DEFAULT_HYPOTHESES if one not in of_parts]
     others = [one for one in asked if one.field_amplitude is None]
     sets = {ALL_HYPOTHESES: MapEnsemble()}
     for left_out in others:

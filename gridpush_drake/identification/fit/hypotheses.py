@@ -27,7 +27,12 @@ Shipped are
 * `UniformParts`: the cells of a part are of one material, for the object's file says that they may
   be. With h_p = 1 on part p and 0 beside it, less the mean, and b = 1 where two parts meet,
 
-      log k ~ N(log k_0, a_u² C + sigma_u² sum_p h_p h_p^T + sigma_b² diag(b))
+      log k ~ N(log k_0, a_u² C + sigma_u² sum_p h_p h_p^T + sigma_b² diag(b));
+
+* `NamedMaterials`: the same, with the densities that the object's file tells of its parts. With m
+  the logarithm of these densities, scaled to the whole load, and s_p how far the part's may be off,
+
+      log k ~ N(log k_0 + m, a_u² C + sum_p s_p² h_p h_p^T + sigma_b² diag(b))
 
 A further hypothesis is a class that inherits `LoadHypothesis`, passed as
 `identify(..., method=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, Mine())))`. Theory:
@@ -41,7 +46,10 @@ from typing import Protocol
 import numpy as np
 
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.fit.load_modes import (
+    calc_material_loads,
+    calc_material_stds,
     calc_part_modes,
     calc_radius_mode,
     find_corners,
@@ -60,6 +68,7 @@ from gridpush_drake.identification.fit.mode_choice import (
     propose_modes,
     reduce_rows,
 )
+from gridpush_drake.identification.statistics.posterior import CELL_ENTRIES
 
 FIELD_AMPLITUDES = (0.05, 0.3, 0.7, 1.5, 3.0, 6.0)
 """Standard deviations of log k of the shipped smooth fields; the first is an almost even object."""
@@ -376,25 +385,63 @@ class UniformParts(LoadHypothesis):
     def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
         """Proposes it where the parts are known, and there are several."""
         obj = setting.obj
-        if not obj.prior.uniform_parts or (obj.labels == obj.labels[0]).all():
+        prior = obj.prior
+        seen = prior.uniform_parts or prior.materials
+        if not seen or (obj.labels == obj.labels[0]).all():
             return []
-        # C(log k) = a_u² C + sigma_u² sum_p h_p h_p^T + sigma_b² diag(b)
-        h = calc_part_modes(obj)
+        parts = len(np.unique(obj.labels))
+        return [self._make_prior(setting, np.zeros(obj.n), np.full(parts, self.part_std))]
+
+    def _make_prior(self, setting: HypothesisInputs, m: Array, part_stds: Array) -> LoadPrior:
+        """Makes the prior about log k_0 + m.
+
+        Args:
+            setting: the object, with the training pushes.
+            m: (n,) expected log k, less log k_0.
+            part_stds: (parts,) s_p, standard deviation of log k of each part.
+        """
+        obj = setting.obj
+        # C(log k) = a_u² C + sum_p s_p² h_p h_p^T + sigma_b² diag(b)
+        h = part_stds[:, None] * calc_part_modes(obj)
         C = setting.calc_smooth_covariance(self.range_cells)
-        covariance = self.amplitude**2 * C + self.part_std**2 * h.T @ h
+        covariance = self.amplitude**2 * C + h.T @ h
         border = find_part_borders(obj)
         covariance[border, border] += self.border_std**2
         factor = calc_prior_factor(covariance, 1.0, setting.log_contact_friction_std)
+        mean = setting.z0.copy()
+        mean[CELL_ENTRIES] += m
         assert setting.pushes is not None
-        step = calc_linear_step(reduce_rows(setting.pushes), factor)
-        prior = LoadPrior(
-            mean=setting.z0,
+        pushes = reduce_rows(setting.pushes).shift(mean - setting.z0)
+        return LoadPrior(
+            mean=mean,
             factor=factor,
             weight=self.weight,
             p_BC=obj.p_BC,
-            start=setting.z0 + step,
+            start=mean + calc_linear_step(pushes, factor),
         )
-        return [prior]
+
+
+@dataclass(frozen=True)
+class NamedMaterials(UniformParts):
+    """The parts are of the materials that the object's file names, such as steel and wood.
+
+    It is for objects whose file has densities of parts (`PhysicalPrior.materials`). They may be
+    wrong by more than they say, so that it is weighed beside `UniformParts`, which knows of none.
+    Its attributes are those of `UniformParts`; `part_std` is for parts whose material is not told.
+    """
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return "named materials"
+
+    def propose(self, setting: HypothesisInputs) -> list[LoadPrior]:
+        """Proposes it where a part's material is told, and there are several parts."""
+        obj = setting.obj
+        if not obj.prior.materials or (obj.labels == obj.labels[0]).all():
+            return []
+        stds = calc_material_stds(obj, self.part_std)
+        return [self._make_prior(setting, calc_material_loads(obj), stds)]
 
 
 DEFAULT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
@@ -404,6 +451,7 @@ DEFAULT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
     TwoParts(),
     Ring(),
     UniformParts(),
+    NamedMaterials(),
 )
 """The hypotheses that `identify` weighs unless it is told others."""
 

@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 
 from gridpush_drake.geometry.se2 import Array, IntArray, make_direction
+from gridpush_drake.identification.statistics.center_of_mass import FRICTION_STD
 from gridpush_drake.objects.grid_object import GridObject
 
 CUT_ANGLES = 18
@@ -119,6 +120,42 @@ def calc_part_modes(obj: GridObject) -> Array:
     """Calculates h (parts, n): 1 on the cells of each part, 0 on all others, less its mean."""
     h = (obj.labels == np.unique(obj.labels)[:, None]).astype(np.float64)
     return np.asarray(h - h.mean(axis=1, keepdims=True))
+
+
+def calc_material_loads(obj: GridObject) -> Array:
+    """Calculates m (n,), log k of the cells as their materials' densities say, less log k_0.
+
+    The mean load is k_0, for only the ratios of densities count. Parts of which no material is
+    known are expected to be of the others' geometric mean. All is 0 where no material is known.
+    """
+    m = np.zeros(obj.n)
+    known = np.zeros(obj.n, dtype=bool)
+    for material in obj.prior.materials:
+        of_part = obj.labels == material.label
+        m[of_part] = np.log(material.density)
+        known |= of_part
+    if known.any():
+        m[~known] = m[known].mean()
+    return np.asarray(m - np.log(np.mean(np.exp(m - m.max()))) - m.max())
+
+
+def calc_material_stds(obj: GridObject, unknown_std: float) -> Array:
+    """Calculates how far log k of each part may be from what its material's density says.
+
+    Args:
+        obj: the object.
+        unknown_std: that of parts of which no material is known.
+
+    Returns:
+        (parts,) standard deviations, in the order of the labels. They hold what the part's friction
+        may differ by from that of the others.
+    """
+    friction_std = min(FRICTION_STD, obj.prior.log_friction_std)
+    known = {
+        material.label: float(np.hypot(np.log(material.spread), friction_std))
+        for material in obj.prior.materials
+    }
+    return np.array([known.get(label, unknown_std) for label in np.unique(obj.labels).tolist()])
 
 
 def find_part_borders(obj: GridObject) -> IntArray:

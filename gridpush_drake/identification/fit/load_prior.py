@@ -5,7 +5,7 @@ cells' loads and of the contact friction. Which hypotheses there are, and which 
 is in `hypotheses`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -61,6 +61,10 @@ class LinearizedPushes:
     residuals: Array
     J: Array
     known: int = 0
+
+    def shift(self, step: Array) -> "LinearizedPushes":
+        """Returns the same pushes to first order about z_0 + step, step (n+1,)."""
+        return replace(self, residuals=self.residuals + self.J @ step)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from gridpush_drake.errors import IdentificationError, ParameterError
 from gridpush_drake.geometry.se2 import Array
@@ -44,6 +44,7 @@ from gridpush_drake.identification.fit.learning_task import (
     TouchingPushes,
 )
 from gridpush_drake.identification.fit.linearized_fit import solve_factor
+from gridpush_drake.identification.fit.load_modes import calc_material_loads
 from gridpush_drake.identification.fit.load_prior import (
     HypothesisInputs,
     LinearizedPushes,
@@ -168,7 +169,9 @@ class MapEnsemble:
             except (np.linalg.LinAlgError, ParameterError) as error:
                 raise IdentificationError(_describe_no_fit(task.obj)) from error
         else:
-            fit = ensemble.fit_prior(task.obj, pushes.z0, pushes.log_contact_friction_std)
+            z = pushes.z0.copy()
+            z[CELL_ENTRIES] += calc_material_loads(task.obj)
+            fit = ensemble.fit_prior(task.obj, z, pushes.log_contact_friction_std)
         if frame is not None:
             fit = replace(fit, covariance=frame.widen(fit.covariance))
         model = make_identification(
@@ -504,8 +507,11 @@ def _fit_prior(
 
 
 def _hold_center(obj: GridObject) -> CenterOfMass:
-    """Holds the center of mass about the cells' centroid, where nothing is known of it."""
-    x, y = obj.p_BC.mean(axis=0)
+    """Holds the center of mass where the parts' materials put it, if nothing else is known of it.
+
+    That is the cells' centroid where no materials are told.
+    """
+    x, y = softmax(calc_material_loads(obj)) @ obj.p_BC
     return CenterOfMass((x, y), CENTER_STD * obj.radius_of_gyration)
 
 

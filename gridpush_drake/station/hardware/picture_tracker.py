@@ -24,7 +24,7 @@ from pydrake.systems.framework import DiagramBuilder
 from gridpush_drake.errors import PerceptionError
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.perception.detection.detection import DetectedObject
+from gridpush_drake.perception.detection.detection import DetectedObject, DetectorOptions
 from gridpush_drake.perception.images.frames import Frame
 from gridpush_drake.perception.images.table_view import find_off_table
 from gridpush_drake.perception.tracking.multi_object_tracking import SceneTracker, SceneTrackerState
@@ -302,7 +302,7 @@ class PictureTracker:
         found = find_in_frame(
             frame,
             self._silhouette.camera,
-            None,
+            DetectorOptions(parts=True),
             naming=naming,
             unseen=(self._off_table, hidden),
             seed=self._scenario.seed,

@@ -33,6 +33,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
 from pydrake.systems.sensors import RgbdSensor
+from scipy.spatial import KDTree
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import CameraError, ScenarioError, StationError
@@ -42,7 +43,7 @@ from gridpush_drake.multibody.contact_material import TABLE_INSTANCE
 from gridpush_drake.multibody.grid_object import GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.perception.detection.detection import DetectedObject
+from gridpush_drake.perception.detection.detection import DetectedObject, DetectorOptions
 from gridpush_drake.perception.images.camera import Camera
 from gridpush_drake.perception.tracking.outline_finder import TrackerOptions
 from gridpush_drake.perception.tracking.pose_prediction import PushModel
@@ -65,8 +66,9 @@ LIGHT_DIRECTION = (0.15, 0.25, 1.0)
 """Direction of the light in the camera's frame (of any length). It comes about from where the
 camera is, so that what the camera sees is lit."""
 
-OBJECT_COLOR = (0.42, 0.13, 0.11, 1.0)
-"""Color of the plant's objects in the camera's pictures: red, green, blue and opacity."""
+PART_COLORS = ((0.42, 0.13, 0.11, 1.0), (0.10, 0.17, 0.40, 1.0), (0.08, 0.30, 0.13, 1.0))
+"""Colors of the parts of the plant's objects in the camera's pictures, the largest part first: red,
+green, blue and opacity. They begin anew where an object has more parts."""
 
 LIVE_TRACKER = TrackerOptions(search_period=0.5)
 """Options of a tracker that keeps up with its camera. A search of the whole picture takes several
@@ -141,20 +143,50 @@ def AddIdealCamera(
 
 
 def AddSeenVisual(plant: MultibodyPlant, scene_graph: SceneGraph, part: GridObjectInPlant) -> None:
-    """Adds a solid, colored shape of an object for cameras to a plant, before Finalize.
+    """Adds a solid shape of an object for cameras to a plant, before Finalize.
 
-    Meshcat does not show it: there the object's estimate is drawn.
+    Each of its parts has a color of its own. Meshcat does not show the shape: there the object's
+    estimate is drawn.
     """
-    file = MemoryFile(
-        make_outline_mesh(part.obj.outline, part.height, normals=True),
-        ".obj",
-        f"{part.obj.name}_seen.obj",
-    )
-    mesh = Mesh(InMemoryMesh(mesh_file=file))
-    geometry = plant.RegisterVisualGeometry(
-        part.body, RigidTransform(), mesh, "seen", np.array(OBJECT_COLOR)
-    )
-    scene_graph.RemoveRole(plant.get_source_id(), geometry, Role.kIllustration)
+    for number, area in enumerate(divide_outline(part.obj)):
+        file = MemoryFile(
+            make_outline_mesh(area, part.height, normals=True),
+            ".obj",
+            f"{part.obj.name}_seen_{number}.obj",
+        )
+        mesh = Mesh(InMemoryMesh(mesh_file=file))
+        color = np.array(PART_COLORS[number % len(PART_COLORS)])
+        geometry = plant.RegisterVisualGeometry(
+            part.body, RigidTransform(), mesh, f"seen_{number}", color
+        )
+        scene_graph.RemoveRole(plant.get_source_id(), geometry, Role.kIllustration)
+
+
+def divide_outline(obj: GridObject) -> list[BaseGeometry]:
+    """Divides an object's outline among its parts.
+
+    The squares of a lattice through the first cell belong to the parts of the cells next to them.
+
+    Returns:
+        An area of each part, polygons in the body frame, m, the part of the most cells first.
+    """
+    labels, counts = np.unique(obj.labels, return_counts=True)
+    if len(labels) == 1:
+        return [obj.outline]
+    # Whole numbers, on which unions are exact: cell sizes from the first cell's center.
+    corners = (shapely.get_coordinates(obj.outline.envelope) - obj.p_BC[0]) / obj.cell_size
+    low = np.floor(corners.min(axis=0)).astype(int) - 1
+    high = np.ceil(corners.max(axis=0)).astype(int) + 1
+    squares = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1)
+    squares = squares.reshape(-1, 2)
+    _, nearest = KDTree(obj.p_BC).query(obj.p_BC[0] + squares * obj.cell_size)
+    boxes = shapely.box(*squares.T, *(squares + 1).T)
+    areas = []
+    for label in labels[np.argsort(-counts, kind="stable")]:
+        area = shapely.union_all(boxes[obj.labels[nearest] == label])
+        area = shapely.transform(area, lambda points: obj.p_BC[0] + (points - 0.5) * obj.cell_size)
+        areas.append(shapely.intersection(area, obj.outline))
+    return areas
 
 
 @dataclass(frozen=True)
@@ -416,6 +448,7 @@ def AddDetector(
         "detector",
         ObjectDetector(
             camera.camera,
+            DetectorOptions(parts=True),
             naming=ObjectNaming(named_after.name, named_after.prior, scenario.object_pose[2]),
             table_top=table_top,
             occluded_by=camera.occluded_by,
