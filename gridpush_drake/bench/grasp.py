@@ -149,13 +149,13 @@ def tabulate_learned(episodes: Sequence[EpisodeOutcome], objects: Sequence[str])
         "mass off, %": _size_of("mass_error", PERCENT_PER_ONE),
         "CoM off, mm": _size_of("center_of_mass_error", MM_PER_M),
         "friction off": _size_of("friction_error"),
-        "mass inside": _share_of("mass_holds"),
-        "CoM inside": _share_of("center_holds"),
-        "friction inside": _share_of("friction_holds"),
+        "mass inside": _proportion_of("mass_holds"),
+        "CoM inside": _proportion_of("center_holds"),
+        "friction inside": _proportion_of("friction_holds"),
     }
     notes = [
-        "off: medians of the errors' sizes. inside: runs whose stated 95 % interval, or region, holds "
-        "the truth, with 95 % Wilson intervals."
+        "off: medians of the errors' sizes. inside: runs whose stated 95 % interval, or region, "
+        "holds the truth, with 95 % Wilson intervals."
     ]
     title = "What was learned of objects of which neither mass nor friction was told"
     return Table.of(title, ("object",), by_object(episodes, objects, key="object"), columns, notes)
@@ -166,7 +166,7 @@ def _size_of(field: str, scale: float = 1.0) -> Column:
     return lambda runs: scale * float(np.median([abs(getattr(run, field)) for run in runs]))
 
 
-def _share_of(field: str) -> Column:
+def _proportion_of(field: str) -> Column:
     """Makes a column: how many runs have a field that is true, with its interval."""
     return lambda runs: Proportion.of(
         sum(getattr(run, field) for run in runs), len(runs)
