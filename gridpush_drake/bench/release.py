@@ -146,6 +146,10 @@ ROWS: dict[str, ReleaseRow] = {
         STEERING,
         {"kinds": ("goal",), "runs": 5, "seed": 2000},
     ),
+    "hidden_weight": ReleaseRow(
+        STEERING,
+        {"kinds": ("t_bottom", "t_top", "hammer"), "runs": 20, "seed": 2000},
+    ),
     "tilt_tests": ReleaseRow(
         f"{PACKAGE}.bench.tilt_tests.experiments:STUDY",
         {"part": "scale", "bottom": "three_feet", "truths": 10, "seed": 5000},

@@ -1,14 +1,32 @@
 """`gridpush bench feedback`: what it measures, and what it refuses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from gridpush_drake.bench.steering import hidden_weight
 from gridpush_drake.bench.steering.experiments import STUDY, list_models
+from gridpush_drake.bench.steering.hidden_weight import (
+    GOAL_ANGLE,
+    GOAL_POSITION,
+    HAMMER_TASK,
+    T_BOTTOM_TASK,
+    T_MASS,
+    T_TOP_TASK,
+    T_UNIT,
+    WEIGHT_MASS,
+    WEIGHT_TASKS,
+    SessionJob,
+    draw_hidden_weight,
+    run_session,
+)
 from gridpush_drake.bench.steering.runs import (
     DISTURBED_RUN,
     EVEN_MODEL,
     GOAL_RUN,
     LEARNED_MODEL,
+    LEARNING_MODEL,
     PATH_RUN,
     PRIMITIVE_PLANNER,
     TRUE_MODEL,
@@ -29,7 +47,7 @@ from gridpush_drake.bench.truth.sets import FOUNDATION_KIND, draw_masses, make_b
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import make_direction, rotate
 from gridpush_drake.identification.model import Model
-from gridpush_drake.planning.feedback.steered_finger import SteeredFinger
+from gridpush_drake.planning.feedback.steered_finger import SteeredFinger, follow
 from gridpush_drake.planning.world import SimulatedWorld
 
 NAME = "combination_wrench"
@@ -167,3 +185,67 @@ def test_the_jobs_and_their_tables():
 def test_refuses_what_it_does_not_know(chosen, message):
     with pytest.raises(GridPushError, match=message):
         STUDY.make_jobs(STUDY.options(**chosen))
+
+
+def test_the_weight_of_a_t_is_below_its_bar_or_its_stem_and_nobody_sees_it():
+    centers = {}
+    for kind in WEIGHT_TASKS:
+        obj, truth = draw_hidden_weight(kind, np.random.default_rng(0))
+        assert (obj.labels == 1).all() and not obj.prior.uniform_parts
+        low, high = obj.prior.friction_min, obj.prior.friction_max
+        assert low <= truth.friction[0] <= high
+        centers[kind] = truth.center_of_mass(obj) - obj.p_BC.mean(axis=0)
+        if kind != HAMMER_TASK:
+            assert truth.total_mass == pytest.approx(T_MASS + WEIGHT_MASS)
+            # the centroid of 4 x 1 squares above 3 x 1 squares, from the middle of both
+            x, y = obj.outline.centroid.coords[0]
+            assert (x, y) == pytest.approx((0, T_UNIT * (4 * 1.5 + 3 * -0.5) / 7), abs=1e-9)
+    share = WEIGHT_MASS / (T_MASS + WEIGHT_MASS)
+    offset = T_UNIT * (4 * 1.5 + 3 * -0.5) / 7
+    bottom = share * (-1.5 * T_UNIT - offset)
+    assert centers[T_BOTTOM_TASK] == pytest.approx([0, bottom], abs=1e-9)
+    assert centers[T_TOP_TASK] == pytest.approx([0, share * (1.5 * T_UNIT - offset)], abs=1e-9)
+    assert np.linalg.norm(centers[HAMMER_TASK]) > 0.03
+
+
+def test_a_session_carries_what_it_learned_into_the_next_episode(monkeypatch):
+    begun = []
+
+    def watch(follower, finger, most, **options):
+        begun.append(options)
+        return follow(follower, finger, most, **options)
+
+    monkeypatch.setattr(hidden_weight, "follow", watch)
+    monkeypatch.setattr(hidden_weight, "CELLS_PER_UNIT", 2)  # for speed
+    job = SessionJob(T_BOTTOM_TASK, LCP_WORLD, LEARNING_MODEL, seed=1, episodes=2)
+    first, second = run_session(job)
+    assert first.reached and second.reached
+    assert first.distance < GOAL_POSITION and first.turn < GOAL_ANGLE
+    obj, truth = draw_hidden_weight(T_BOTTOM_TASK, np.random.default_rng((1, 53)))
+    assert begun[0]["identification"] is None and not len(begun[0]["learner"].pokes)
+    found = begun[1]["identification"]
+    true = truth.center_of_mass(obj)
+    even = np.linalg.norm(obj.p_BC.mean(axis=0) - true)
+    assert np.linalg.norm(found.params.center_of_mass(obj) - true) < 0.3 * even
+    assert len(begun[1]["learner"].pokes)
+    begun.clear()
+    run_session(replace(job, model=EVEN_MODEL, episodes=1))
+    assert begun[0]["learner"] is None
+
+
+def test_sessions_are_asked_for_by_name_and_tabulated():
+    options = STUDY.options(kinds=WEIGHT_TASKS, worlds=(LCP_WORLD,), runs=2, episodes=3)
+    jobs = STUDY.make_jobs(options)
+    assert len(set(jobs)) == len(jobs) == 2 * 2 * len(WEIGHT_TASKS)
+    assert {job.seed for job in jobs[: len(jobs) // 2]} == {0}  # body by body
+    assert not any(
+        isinstance(job, SessionJob) for job in STUDY.make_jobs(STUDY.shorten(STUDY.options()))
+    )
+    session = [make_result(kind=T_TOP_TASK, time=20.0), make_result(kind=T_TOP_TASK, time=10.0)]
+    failed = [make_result(kind=T_TOP_TASK, time=8.0), make_result(kind=T_TOP_TASK, reached=False)]
+    (table,) = STUDY.tabulate(options, Done([(jobs[0], session), (jobs[1], failed)]))
+    row = dict(zip(table.columns, table.rows[0], strict=True))
+    assert (row["bodies"], row["episodes"]) == (2, 4)
+    assert row["reached"].startswith("3 (")
+    assert row["first episode, s"] == pytest.approx(14.0)
+    assert row["later ones, s"] == pytest.approx(10.0)

@@ -1,7 +1,9 @@
 """`gridpush bench feedback`: pushing with feedback, in the LCP world and with bodies in MuJoCo.
 
 Learned objects are pushed along paths, to goals, and back to goals after shoves. What a run is and
-how it is judged is in `bench.steering.runs`; here is which runs are made, and their tables.
+how it is judged is in `bench.steering.runs`; sessions with a hidden weight, in which nothing is
+known of a body at first, are in `bench.steering.hidden_weight`. Here is which of them are made, and
+their tables.
 """
 
 from collections.abc import Sequence
@@ -10,6 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from gridpush_drake.bench.steering.hidden_weight import (
+    GOAL_ANGLE,
+    GOAL_POSITION,
+    START_PLACE,
+    WEIGHT_TASKS,
+    SessionJob,
+    run_session,
+)
 from gridpush_drake.bench.steering.runs import (
     DISTURBED_RUN,
     EVEN_MODEL,
@@ -33,6 +43,7 @@ from gridpush_drake.bench.steering.runs import (
 )
 from gridpush_drake.bench.steering.worlds import LCP_WORLD, POSE_SENSOR, STEERED_WORLDS
 from gridpush_drake.bench.study import OBJECTS_OPTION, Done, JobKind, Study, StudyOptions, option
+from gridpush_drake.bench.truth.sets import FOUNDATION_KIND
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -41,6 +52,12 @@ from gridpush_drake.units import DEG_PER_RAD, MM_PER_M, MS_PER_S
 
 DEFAULT_RUN_COUNT = 10
 QUICK_RUNS = 1
+
+DEFAULT_EPISODE_COUNT = 10
+"""Number of episodes of a session with a hidden weight by default."""
+
+SESSION_MODELS = (LEARNING_MODEL, EVEN_MODEL)
+"""What is planned with in sessions with a hidden weight."""
 
 
 @dataclass(frozen=True)
@@ -52,22 +69,25 @@ class FeedbackBenchOptions(StudyOptions):
         worlds: names of worlds.
         objects: names of shipped objects; NAMES where None.
         models: names of MODEL_NAMES, what is planned with.
-        runs: runs of each kind, world, object and model; the first has the seed `seed`.
+        runs: runs of each kind, world, object and model; the first has the seed `seed`. Of sessions
+            with a hidden weight, which have objects of their own, the number of bodies.
+        episodes: number of episodes of such a session.
     """
 
     kinds: tuple[str, ...] | None = option(
         None,
-        "path, goal or shove; may be repeated.",
+        "path, goal or shove; or a session with a hidden weight, as in Phys2Real: t_bottom, t_top "
+        "or hammer; may be repeated.",
         name="--kind",
         metavar="KIND",
-        shown="all",
+        shown="path, goal and shove",
     )
     worlds: tuple[str, ...] | None = option(
         None,
         "lcp, foundation or three_feet; may be repeated.",
         name="--world",
         metavar="WORLD",
-        shown="all",
+        shown="all; foundation of a session",
     )
     objects: tuple[str, ...] | None = option(None, **OBJECTS_OPTION)
     models: tuple[str, ...] | None = option(
@@ -79,6 +99,9 @@ class FeedbackBenchOptions(StudyOptions):
         shown="all",
     )
     runs: int = option(DEFAULT_RUN_COUNT, "Runs of each kind, world, object and model.", least=1)
+    episodes: int = option(
+        DEFAULT_EPISODE_COUNT, "Episodes of each session with a hidden weight.", least=1
+    )
 
 
 def shorten(options: FeedbackBenchOptions) -> FeedbackBenchOptions:
@@ -86,13 +109,14 @@ def shorten(options: FeedbackBenchOptions) -> FeedbackBenchOptions:
     return replace(
         options,
         runs=min(options.runs, QUICK_RUNS),
+        episodes=min(options.episodes, QUICK_RUNS),
         worlds=options.worlds or (LCP_WORLD,),
         objects=options.objects or OBJECT_NAMES[:1],
     )
 
 
-def make_jobs(options: FeedbackBenchOptions) -> list[FeedbackJob]:
-    """Makes the runs.
+def make_jobs(options: FeedbackBenchOptions) -> list[FeedbackJob | SessionJob]:
+    """Makes the runs, and the sessions with a hidden weight.
 
     Raises:
         GridPushError: a kind, world or model is not known, or there is no run.
@@ -100,10 +124,11 @@ def make_jobs(options: FeedbackBenchOptions) -> list[FeedbackJob]:
         MissingExtraError: MuJoCo is asked for, and not installed.
     """
     kinds = options.kinds or RUN_KINDS
-    worlds = options.worlds or STEERED_WORLDS
+    are_sessions = set(kinds) <= set(WEIGHT_TASKS)
+    worlds = options.worlds or ((FOUNDATION_KIND,) if are_sessions else STEERED_WORLDS)
     models = options.models or MODEL_NAMES
     choices = (
-        ("kind", kinds, RUN_KINDS),
+        ("kind", kinds, (*RUN_KINDS, *WEIGHT_TASKS)),
         ("world", worlds, STEERED_WORLDS),
         ("model", models, MODEL_NAMES),
     )
@@ -118,14 +143,27 @@ def make_jobs(options: FeedbackBenchOptions) -> list[FeedbackJob]:
     names = options.objects or OBJECT_NAMES
     for name in names:
         find_shipped_object(name)
-    jobs = [
+    jobs: list[FeedbackJob | SessionJob] = [
         FeedbackJob(kind, world, name, model, options.seed + i)
         for kind in kinds
+        if kind in RUN_KINDS
         for world in worlds
         for model in list_models(kind, world)
         if model in models
         for name in names
         for i in range(options.runs)
+    ]
+    # Body by body, so that what is done after some time is of all tasks and models.
+    jobs += [
+        SessionJob(
+            kind=kind, world=world, model=model, seed=options.seed + i, episodes=options.episodes
+        )
+        for i in range(options.runs)
+        for kind in kinds
+        if kind in WEIGHT_TASKS
+        for world in worlds
+        for model in SESSION_MODELS
+        if model in models
     ]
     if not jobs:
         raise GridPushError(
@@ -137,6 +175,8 @@ def make_jobs(options: FeedbackBenchOptions) -> list[FeedbackJob]:
 
 def list_models(kind: str, world: str) -> tuple[str, ...]:
     """Lists what is planned with: the truth of a body in MuJoCo is no grid."""
+    if kind in WEIGHT_TASKS:
+        return SESSION_MODELS
     if world != LCP_WORLD:
         return (LEARNED_MODEL, LEARNING_MODEL, EVEN_MODEL)
     known = (LEARNED_MODEL, LEARNING_MODEL, EVEN_MODEL, TRUE_MODEL)
@@ -152,7 +192,8 @@ def tabulate(options: FeedbackBenchOptions, done: Done) -> list[Table]:
         found = [each for each in results if each.kind == kind]
         if found:
             tables.append(tabulate_kind(kind, found))
-    return tables
+    sessions = done.of(SESSION_JOBS)
+    return [*tables, tabulate_sessions(sessions)] if sessions else tables
 
 
 def _group(results: Sequence[Followed]) -> list[tuple[tuple[str, str], list[Followed]]]:
@@ -232,8 +273,56 @@ def tabulate_goals(kind: str, results: Sequence[Followed]) -> Table:
     return Table.of(title, ("world", "model"), _group(results), columns, notes)
 
 
+def tabulate_sessions(sessions: Sequence[Sequence[Followed]]) -> Table:
+    """Tabulates sessions with a hidden weight: all episodes, and those of a known body."""
+
+    def find_time(episodes: Sequence[int]) -> Any:
+        """Makes a column: median time of the successes among some episodes of each session."""
+
+        def calc(group: Sequence[Sequence[Followed]]) -> float:
+            times = [
+                one.time
+                for session in group
+                for i, one in enumerate(session)
+                if i in episodes and one.reached
+            ]
+            return float(np.median(times)) if times else np.nan
+
+        return calc
+
+    def count_reached(group: Sequence[Sequence[Followed]]) -> str:
+        return _count_reached([one for session in group for one in session])
+
+    keys = dict.fromkeys((each[0].kind, each[0].world, each[0].model) for each in sessions)
+    groups = [
+        (key, [each for each in sessions if (each[0].kind, each[0].world, each[0].model) == key])
+        for key in keys
+    ]
+    most = max(map(len, sessions))
+    columns = {
+        "bodies": len,
+        "episodes": lambda group: sum(map(len, group)),
+        "reached": count_reached,
+        "time, median, s": find_time(range(most)),
+        "first episode, s": find_time(range(1)),
+        "later ones, s": find_time(range(1, most)),
+    }
+    notes = (
+        f"From {np.linalg.norm(START_PLACE) * 100:g} cm away, turned anywhere, to "
+        f"{GOAL_POSITION * 100:g} cm and {GOAL_ANGLE * DEG_PER_RAD:g}° at rest, by the true pose; "
+        f"given up after {MOST_TIME:g} s. Times are of the episodes that reached it.",
+        "learning: begins with an even object, learns on the way, and carries what it learned from "
+        "episode to episode. even: plans with an even object in all episodes.",
+        f"With {INTERVAL_CONFIDENCE:.0%} Wilson intervals.",
+    )
+    return Table.of("Hidden weight", ("task", "world", "model"), groups, columns, notes)
+
+
 RUN_JOBS = JobKind(job=FeedbackJob, run=run_job, describe=FeedbackJob.describe)
 """What is done with a run."""
+
+SESSION_JOBS = JobKind(job=SessionJob, run=run_session, describe=SessionJob.describe)
+"""What is done with a session."""
 
 STUDY = Study(
     name="feedback",
@@ -241,7 +330,7 @@ STUDY = Study(
     "LCP world, and bodies in MuJoCo.",
     options=FeedbackBenchOptions,
     tabulate=tabulate,
-    tasks=(RUN_JOBS,),
+    tasks=(RUN_JOBS, SESSION_JOBS),
     make_jobs=make_jobs,
     shorten=shorten,
 )

@@ -95,6 +95,30 @@ def make_case(world: str, name: str, seed: int, *, learns: bool) -> HiddenBodyCa
     """
     rng = np.random.default_rng((seed, 51))
     obj, truth = draw_masses(name, rng)
+    pokes_world, make_finger = put_body(world, obj, truth, rng, seed)
+    learned = None
+    pokes = None
+    if learns:
+        pokes = PushLog(tuple(draw_poke(pokes_world, obj, rng, i) for i in range(POKE_COUNT)))
+        learned = identify(Model(obj), pokes, seed=seed, regime="quasi_static")
+    return HiddenBodyCase(obj, truth, learned, make_finger, pokes)
+
+
+def put_body(
+    world: str, obj: GridObject, truth: CellParameters, rng: np.random.Generator, seed: int
+) -> tuple[TrackedWorld, FingerMaker]:
+    """Puts a body of given masses into a world.
+
+    Args:
+        world: one of STEERED_WORLDS.
+        obj: the object.
+        truth: its masses and frictions.
+        rng: draws what is random about its feet.
+        seed: of the noise of what is seen.
+
+    Returns:
+        A world in which the body is poked, and what makes a world with a finger that is steered.
+    """
     pokes_world: TrackedWorld
     if world == LCP_WORLD:
         pokes_world = SimulatedWorld(
@@ -123,12 +147,7 @@ def make_case(world: str, name: str, seed: int, *, learns: bool) -> HiddenBodyCa
             world = MujocoWorld(body, STEERED_FINGER.radius, pose=pose)
             return SteeredFinger(world, tip, STEERED_FINGER.radius, POSE_SENSOR, seed)
 
-    learned = None
-    pokes = None
-    if learns:
-        pokes = PushLog(tuple(draw_poke(pokes_world, obj, rng, i) for i in range(POKE_COUNT)))
-        learned = identify(Model(obj), pokes, seed=seed, regime="quasi_static")
-    return HiddenBodyCase(obj, truth, learned, make_finger, pokes)
+    return pokes_world, make_finger
 
 
 def draw_poke(
