@@ -21,12 +21,11 @@ section 9. The simulation says what happens where a push is not stable; here is 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
 from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
@@ -148,7 +147,10 @@ def find_pusher_contacts(
         e = int(np.argmin(distances))
         outside = not shapely.contains_xy(obj.outline, *center)
         gap = distances[e] * (1 if outside else -1) - shape.radius
+        # at a corner of the outline, a round part of the pusher touches along its own normal
         normal = np.array([-tangents[e, 1], tangents[e, 0]])
+        if outside and not 0 < fraction[e] < 1:
+            normal = (nearest[e] - center) / distances[e]
         if abs(gap) > tolerance + (0 if outside else shape.radius):
             continue
         beside = (core[[k - 1, (k + 1) % count]] - center) if shape.joined else np.zeros((1, 2))
@@ -286,22 +288,15 @@ class MotionCone:
 
 def _find_faces(generators: Array) -> Array:
     """Finds the faces of the cone of generators (G, 3): inward unit normals (F, 3)."""
-    faces = []
-    for i, j in combinations(range(len(generators)), 2):
-        normal = np.cross(generators[i], generators[j])
-        length = np.linalg.norm(normal)
-        if length <= FACE_TOLERANCE:
-            continue
-        normal = normal / length
-        sides = generators @ normal
-        if np.abs(sides).max() <= FACE_TOLERANCE:
-            continue
-        # all other generators are on one side of a face
-        if sides.min() >= -FACE_TOLERANCE:
-            faces.append(normal)
-        elif sides.max() <= FACE_TOLERANCE:
-            faces.append(-normal)
-    return np.reshape(faces, (-1, 3))
+    first, second = np.triu_indices(len(generators), 1)
+    normals = np.cross(generators[first], generators[second])
+    lengths = np.linalg.norm(normals, axis=1)
+    normals = normals[lengths > FACE_TOLERANCE] / lengths[lengths > FACE_TOLERANCE, None]
+    # all other generators are on one side of a face, and not all of them in it
+    sides = normals @ generators.T
+    inward = sides.min(axis=1, initial=0.0) >= -FACE_TOLERANCE
+    outward = sides.max(axis=1, initial=0.0) <= FACE_TOLERANCE
+    return np.concatenate([normals[inward & ~outward], -normals[outward & ~inward]])
 
 
 def calc_push_stability(
@@ -515,18 +510,50 @@ def find_turn_limits(
     """
     frame = check_vector(PlanningError, "X_BT", X_BT, 3)
     require_positive(PlanningError, "", "1/m", max_curvature=max_curvature)
-    curvature = np.linspace(-max_curvature, max_curvature, 2 * CURVATURES - 1)
-    c, s = np.cos(frame[2]), np.sin(frame[2])
-    twists = np.column_stack(
-        [c + curvature * frame[1], s - curvature * frame[0], curvature],
-    )
+    curvature = list_curvatures(max_curvature)
+    twists = calc_turn_twists(frame, curvature)
     stable = calc_stable_probabilities(model, contacts, twists, draws=draws) >= probability
-    straight = CURVATURES - 1
+    return find_stable_range(curvature, stable)
+
+
+def list_curvatures(max_curvature: float) -> Array:
+    """Lists the curvatures that are tried, from the tightest turn to the right to the left, 1/m."""
+    return np.linspace(-max_curvature, max_curvature, 2 * CURVATURES - 1)
+
+
+def calc_turn_twists(X_BS: ArrayLike, curvature: ArrayLike) -> Array:
+    """Calculates the twists of a body of which a frame S moves as a car, by 1 m.
+
+    Args:
+        X_BS: (..., 3) the frame in the body's, m and rad; S moves along its x axis.
+        curvature: (C,) of its path, 1/m, positive to the left.
+
+    Returns:
+        (..., C, 3) twists of B's origin in B.
+    """
+    frame = np.asarray(X_BS, dtype=np.float64)[..., None, :]
+    k = np.asarray(curvature, dtype=np.float64)
+    u = np.cos(frame[..., 2]) + k * frame[..., 1]
+    v = np.sin(frame[..., 2]) - k * frame[..., 0]
+    return np.stack([u, v, np.broadcast_to(k, u.shape)], axis=-1)
+
+
+def find_stable_range(curvature: Array, stable: NDArray[np.bool_]) -> tuple[float, float] | None:
+    """Finds the range of curvatures about zero that are all stable.
+
+    Args:
+        curvature: (C,) as `list_curvatures` lists them.
+        stable: (C,) whether the turn is stable.
+
+    Returns:
+        The least and the greatest, 1/m; None where not even a straight push is stable.
+    """
+    straight = len(curvature) // 2
     if not stable[straight]:
         return None
     # the first on each hand that is not stable ends the range
     left = np.flatnonzero(~stable[straight:])
     right = np.flatnonzero(~stable[straight::-1])
-    most = straight + (left[0] - 1 if len(left) else CURVATURES - 1)
-    least = straight - (right[0] - 1 if len(right) else CURVATURES - 1)
+    most = straight + (left[0] - 1 if len(left) else straight)
+    least = straight - (right[0] - 1 if len(right) else straight)
     return float(curvature[least]), float(curvature[most])

@@ -13,7 +13,7 @@ from gridpush_drake.geometry.se2 import compose, invert
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.stable_push import (
+from gridpush_drake.planning.stable.stable_push import (
     MotionCone,
     calc_flush_pose,
     calc_push_stability,
@@ -104,6 +104,17 @@ def test_contacts_are_found_where_they_will_be_once_flush():
     wide = PusherShape.plate(0.12, 0.02, 0.001)
     corners = find_pusher_contacts(obj, wide, (-0.05, 0.0, 0.0))
     np.testing.assert_allclose(np.sort(corners.points[:, 1]), [-0.04, 0.04])
+
+
+def test_a_fingertip_touches_a_corner_along_its_own_normal():
+    obj = make_block(np.random.default_rng(0)).obj
+    corner = np.array([-0.05, 0.04])
+    normal = np.array([0.8, -0.6])
+    place = corner - TIPS.radius * normal - TIPS.core[1]
+    contacts = find_pusher_contacts(obj, TIPS, (*place, 0.0), 1e-4)
+    np.testing.assert_allclose(contacts.points, [corner], atol=1e-12)
+    np.testing.assert_allclose(contacts.normals, [normal], atol=1e-9)
+    np.testing.assert_allclose(contacts.gaps, [0.0], atol=1e-9)
 
 
 def test_turns_within_the_limits_are_stable_and_tighter_ones_are_not():
