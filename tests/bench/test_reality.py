@@ -231,8 +231,8 @@ def test_runs_from_one_start_are_held_out_and_predicted_to_their_end(tmp_path):
     raw = [
         calc_run_score(find_run_end(Model(known.obj), run), run).position for run in known.runs[:2]
     ]
-    assert runs[EVEN_MODEL, 0][place].mean < 1e3 * np.mean(raw) / 2
-    assert runs[STILL_MODEL, 0][place].mean > 40
+    assert runs[EVEN_MODEL, 0][place].mean < 0.7e3 * np.mean(raw)
+    assert runs[STILL_MODEL, 0][place].mean > 20
 
 
 def test_the_plants_push_with_two_fingers_as_the_model_says():

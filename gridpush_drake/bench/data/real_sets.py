@@ -138,12 +138,12 @@ class Division:
 
     Attributes:
         test: held-out pushes.
-        test_runs: held-out runs.
+        test_runs: numbers of the held-out runs.
         training: pushes to learn from, by their number or that of their runs.
     """
 
     test: tuple[int, ...]
-    test_runs: tuple[Run, ...]
+    test_runs: tuple[int, ...]
     training: dict[int, tuple[int, ...]]
 
 
@@ -168,14 +168,16 @@ def divide(known: RealSet, test: int, seed: int, number: int) -> Division:
     rng = np.random.default_rng([seed, number])
     if known.runs:
         goals = list(dict.fromkeys(run.group for run in known.runs))
-        held_out = tuple(run for run in known.runs if run.group == goals[number % len(goals)])
-        others = [run for run in known.runs if run.group != goals[number % len(goals)]]
+        goal = goals[number % len(goals)]
+        held_out = tuple(i for i, run in enumerate(known.runs) if run.group == goal)
+        others = [run for run in known.runs if run.group != goal]
         order = rng.permutation(len(others))
         training = {
             count: tuple(i for at in order[:count] for i in others[at].seen)
             for count in known.counts
         }
-        return Division(tuple(i for run in held_out for i in run.seen), held_out, training)
+        test_pushes = tuple(i for run in held_out for i in known.runs[run].seen)
+        return Division(test_pushes, held_out, training)
     order = rng.permutation(len(known.log))
     chosen = tuple(int(i) for i in order[:test])
     groups = {known.groups[i] for i in chosen}

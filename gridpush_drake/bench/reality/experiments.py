@@ -43,6 +43,7 @@ from gridpush_drake.bench.data.real_sets import (
     Run,
     calc_error,
     divide,
+    place_runs,
     read_set,
 )
 from gridpush_drake.bench.reality.pictures import write_pictures
@@ -185,6 +186,8 @@ def run_job(job: RealityJob) -> list[RealityScore]:
     """Learns from one division of one set, and predicts the held-out pushes in every simulator."""
     known = read_job(job)
     division = divide(known, job.test, job.seed, job.split)
+    known = place_runs(known, division.training[max(division.training)])
+    test_runs = [known.runs[i] for i in division.test_runs]
     test = known.log.subset(division.test)
 
     # What is believed of the object
@@ -212,7 +215,7 @@ def run_job(job: RealityJob) -> list[RealityScore]:
         )
 
     still = score(STILL_MODEL, 0, LCP_ENGINE, [seen.pose for seen in test])
-    ends = [calc_run_score(run.pose, run) for run in division.test_runs]
+    ends = [calc_run_score(run.pose, run) for run in test_runs]
     scores = [replace(still, runs=tuple(ends))]
     for name, count, model in believed:
         for engine in job.engines:
@@ -223,9 +226,7 @@ def run_job(job: RealityJob) -> list[RealityScore]:
                     one,
                     ranks=tuple(calc_ranks(model, test, found_ends)),
                     slips=tuple(judge_slips(known, division.test, model, found_ends)),
-                    runs=tuple(
-                        calc_run_score(find_run_end(model, run), run) for run in division.test_runs
-                    ),
+                    runs=tuple(calc_run_score(find_run_end(model, run), run) for run in test_runs),
                 )
             scores.append(one)
     return scores
