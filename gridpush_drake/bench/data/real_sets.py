@@ -67,7 +67,7 @@ REPEATED = {CMU_LOG: 0.0014}
 """What a push differs by when it is made again, m, where the set itself does not show it."""
 
 
-class Run(NamedTuple):
+class LiftedRun(NamedTuple):
     """Pushes that follow one another, between which the pusher is lifted.
 
     Attributes:
@@ -103,7 +103,7 @@ class RealSet:
     log: PushLog
     obj: GridObject
     groups: tuple[int, ...]
-    runs: tuple[Run, ...] = ()
+    runs: tuple[LiftedRun, ...] = ()
     stayed: tuple[bool, ...] | None = None
 
     @property
@@ -263,7 +263,7 @@ def _read_runs(path: Path) -> RealSet:
         pose, end = pushes[0].before, pushes[-1].after
         if pose is not None and end is not None:
             seen = [made.name for push in pushes if (made := push.observe()) is not None]
-            run = Run(
+            run = LiftedRun(
                 group=tasks.index(task),
                 pose=pose,
                 pushes=tuple(push.push for push in pushes),

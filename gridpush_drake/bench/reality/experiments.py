@@ -11,7 +11,7 @@ The rows are the sets, each with what is believed of the object:
 The columns are the simulators that then predict held-out pushes: ours, and Drake's and MuJoCo's
 plants with the very same masses and frictions. What repeated pushes differ by is the least error
 that is possible. Further columns say how many ends are in the regions that the learned model states
-beforehand, and of how many pushes by several tips it says rightly whether the object goes with them.
+beforehand, and of how many pushes by several tips it is said rightly whether the object goes along.
 Runs of several pushes are also predicted as a whole, from where the object lies at their beginning.
 
 Without real pushes, simulated ones stand in, and the table says so. The plants push faster than
@@ -39,8 +39,8 @@ from gridpush_drake.bench.data.real_sets import (
     MAX_SLIP,
     PUSH_COUNTS,
     START_GAP,
+    LiftedRun,
     RealSet,
-    Run,
     calc_error,
     divide,
     place_runs,
@@ -324,7 +324,7 @@ def judge_slips(
             said_angle=said.angle,
             seen=seen.distance,
             seen_angle=seen.angle,
-            told_stable=said.is_within(*limits),
+            predicted_stable=said.is_within(*limits),
             cone_stable=cone.is_stable,
             stable=stable,
         )
@@ -332,7 +332,7 @@ def judge_slips(
     return scores
 
 
-def find_run_end(model: Model, run: Run) -> Array:
+def find_run_end(model: Model, run: LiftedRun) -> Array:
     """Predicts where a run ends, (3,), from where the object lies at its beginning."""
     pose = run.pose
     for push in run.pushes:
@@ -340,7 +340,7 @@ def find_run_end(model: Model, run: Run) -> Array:
     return pose
 
 
-def calc_run_score(end: Array, run: Run) -> RunScore:
+def calc_run_score(end: Array, run: LiftedRun) -> RunScore:
     """Compares a predicted end (3,) of a run with the one that was seen."""
     dx, dy, turn = end - run.end
     return RunScore(position=float(np.hypot(dx, dy)), angle=abs(float(wrap_angle(turn))))

@@ -1,4 +1,4 @@
-"""Pictures of `gridpush bench reality`: of each set the object, its pushers' paths, and the errors."""
+"""Pictures of `gridpush bench reality`: of each set the object, the pushes and the errors."""
 
 from collections.abc import Mapping, Sequence
 from io import BytesIO

@@ -55,7 +55,7 @@ class SlipScore:
         said_angle: angle, rad, that it says.
         seen: distance that was seen, m.
         seen_angle: angle that was seen, rad.
-        told_stable: whether that is little enough to call the push stable.
+        predicted_stable: whether that is little enough to call the push stable.
         cone_stable: whether the motion cone says that the object does not slip at all.
         stable: whether the push was stable.
     """
@@ -64,7 +64,7 @@ class SlipScore:
     said_angle: float
     seen: float
     seen_angle: float
-    told_stable: bool
+    predicted_stable: bool
     cone_stable: bool
     stable: bool
 

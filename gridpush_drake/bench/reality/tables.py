@@ -50,7 +50,7 @@ def tabulate_pushes(jobs: Sequence[RealityJob], scores: Sequence[RealityScore]) 
                     *means,
                     None if repeated is None else MM_PER_M * repeated,
                     *(calc_percent([rank <= region for rank in ranks]) for region in REGIONS),
-                    calc_percent([slip.told_stable == slip.stable for slip in slips]),
+                    calc_percent([slip.predicted_stable == slip.stable for slip in slips]),
                     calc_percent([slip.cone_stable == slip.stable for slip in slips]),
                 ]
             )

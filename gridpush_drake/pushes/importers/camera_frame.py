@@ -27,7 +27,8 @@ GAP_STD = 0.0005
 tip may be off the object. All gaps of a push together count as one, for they err alike."""
 
 CAMERA_STD = np.array([0.003, 0.003, 0.01])
-"""Standard deviations, beforehand, of the camera's place, at the object, and angle, m, m and rad."""
+"""Standard deviations, beforehand, of the camera's place, at the object, and of its angle, m, m and
+rad."""
 
 BODY_STD = np.array([0.003, 0.003, 0.03])
 """Standard deviations, beforehand, of the outline's place and angle in the body frame, m, m and
