@@ -39,6 +39,7 @@ def write_pictures(
     Raises:
         OutputError: a picture cannot be written.
     """
+    folder.mkdir(parents=True, exist_ok=True)
     for name, known in sets.items():
         path = folder / f"{name.replace('/', '_')}.png"
         check_writable(path, force)
