@@ -26,6 +26,7 @@ from scipy import stats
 from gridpush_drake.bench.data.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.bench.data.real_logs import (
     CMU_LOG,
+    CMU_RHO,
     MIT_LOG,
     SIMULATED_LOG,
     SIMULATED_PUSH_COUNT,
@@ -54,9 +55,6 @@ from gridpush_drake.report.table import (
     write_panels,
 )
 from gridpush_drake.units import MM_PER_M
-
-CMU_RHO = 0.05 * 2**0.5
-"""Length by which the CMU's metric multiplies an angle, m."""
 
 FEET_SETS = ("hardboard_wide", "hardboard_middle", "plywood_wide", "plywood_middle")
 """The CMU files whose mean counts; others are shown beside."""

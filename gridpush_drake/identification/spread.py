@@ -30,11 +30,24 @@ class Spread:
         std: (3,) standard deviations of the cells' centroid, x and y, m, world frame, and of theta,
             rad.
         cell_error: m; with probability INTERVAL_PROBABILITY the cell error is below it.
+        covariance: (3, 3) of the centroid's place and of the turn at the radius of gyration, m², of
+            a typical push.
+        freedom: degrees of freedom of the Student's t distribution of these three.
     """
 
     name: str
     std: Array
     cell_error: float
+    covariance: Array
+    freedom: float
+
+    def calc_probability(self, cell_error: float) -> float:
+        """Calculates the probability of a cell error, root mean square, below one, m.
+
+        It is the rank of an error that was seen: over many pushes it is spread evenly from 0 to 1
+        if what the model says of its errors is true.
+        """
+        return calc_norm_probability(self.covariance, self.freedom, cell_error)
 
     def __repr__(self) -> str:
         """Name and how far off the end may be, in a line."""
@@ -87,13 +100,21 @@ def predict_spread(
     problem = PushProblem(obj, log_of_ends, model.params, physics or model.physics)
     linear = problem.linearize(model.posterior.mean)
 
+    pushes = len(model.push_names)
     found = []
     for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):
         covariance = calc_end_covariance(model, J, inputs)
         # The third residual is rho dtheta.
         std = np.sqrt(np.diag(covariance)) / (1.0, 1.0, obj.radius_of_gyration)
         cell_error = calc_end_quantile(model, covariance, INTERVAL_PROBABILITY)
-        found.append(Spread(name=seen.name, std=std, cell_error=cell_error))
+        spread = Spread(
+            name=seen.name,
+            std=std,
+            cell_error=cell_error,
+            covariance=model.noise.calc_typical_fraction(pushes) * covariance,
+            freedom=model.noise.calc_freedom(pushes),
+        )
+        found.append(spread)
     return found
 
 
@@ -153,7 +174,20 @@ def calc_norm_quantile(
     Returns:
         The quantile, m.
     """
-    # |r|² is taken for a scaled F, with as many numbers as give it the normal's first two moments.
+    scale, numbers = _match_moments(covariance)
+    return float(np.sqrt(scale * f.ppf(probability, numbers, freedom)))
+
+
+def calc_norm_probability(covariance: Array, freedom: float, norm: float) -> float:
+    """Calculates the probability of |r| below a norm, m, the inverse of `calc_norm_quantile`."""
+    scale, numbers = _match_moments(covariance)
+    return float(f.cdf(norm**2 / scale, numbers, freedom))
+
+
+def _match_moments(covariance: Array) -> tuple[float, float]:
+    """Finds scale and numbers of the scaled F for which |r|² is taken.
+
+    It has as many numbers as give it the normal's first two moments.
+    """
     values = np.linalg.eigvalsh(covariance)
-    numbers = values.sum() ** 2 / (values**2).sum()
-    return float(np.sqrt(values.sum() * f.ppf(probability, numbers, freedom)))
+    return float(values.sum()), float(values.sum() ** 2 / (values**2).sum())

@@ -6,36 +6,54 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gridpush_drake.bench.reality import (
+from gridpush_drake.bench.data.real_logs import CMU_LOG, DUBINS_LOG, TWO_POINT_LOG
+from gridpush_drake.bench.data.real_sets import PUSH_COUNTS, calc_error, divide, read_set
+from gridpush_drake.bench.reality.experiments import (
+    STUDY,
+    RealityBenchOptions,
+    calc_run_score,
+    find_ends,
+    find_run_end,
+    hasten,
+    make_jobs,
+    run_job,
+    tabulate,
+)
+from gridpush_drake.bench.reality.scores import (
     DRAKE_ENGINE,
     EVEN_MODEL,
+    FRAME_MODEL,
     LCP_ENGINE,
     LEARNED_MODEL,
     MUJOCO_ENGINE,
     PLANT_SPEED,
     SET_MODEL,
     STILL_MODEL,
-    STUDY,
-    TRAINING_PUSH_COUNTS,
-    RealityBenchOptions,
     RealityJob,
     RealityScore,
-    calc_error,
-    hasten,
-    make_jobs,
-    run_job,
-    tabulate,
 )
 from gridpush_drake.bench.study import Done
 from gridpush_drake.bench.worlds.mujoco_plant import MujocoPlant
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.importers.cmu import triangle_block
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from tests.helpers.shapes import rectangle
 from tests.helpers.shared_data import shared_data
+from tests.helpers.two_tip_logs import (
+    FINGERS,
+    describe_two_point,
+    simulate_run,
+    simulate_two_point,
+    write_runs,
+    write_two_point,
+)
 
 CLEARANCE = 0.002
 """Distance of a pusher from the object before it is moved, m."""
@@ -83,7 +101,7 @@ def test_mujoco_pushes_as_the_model_says():
     )
     expected = simulate(Model(obj, params), push, pose, regime="inertial").final_pose
     assert calc_error(expected, pose) > 0.02
-    plant = MujocoPlant(obj, params, push.radius)
+    plant = MujocoPlant(obj, params, PusherShape.disc(push.radius))
     assert calc_error(plant.push(push, pose), expected) < 1e-3
     # A second push begins from rest, and is the same
     np.testing.assert_array_equal(plant.push(push, pose), plant.push(push, pose))
@@ -94,12 +112,12 @@ def test_a_set_of_real_pushes_is_predicted_in_every_simulator():
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
     path = shared_data("cmu_pushes", "hardboard_wide.txt")
     job = RealityJob(
-        "hardboard_wide", "cmu", path, 0, 4, (LCP_ENGINE, DRAKE_ENGINE, MUJOCO_ENGINE), 0
+        "hardboard_wide", CMU_LOG, path, 0, 4, (LCP_ENGINE, DRAKE_ENGINE, MUJOCO_ENGINE), 0
     )
     scores = run_job(job)
     means = {(s.model, s.training, s.engine): 1e3 * np.mean(s.errors) for s in scores}
     print(means)
-    believed = [(EVEN_MODEL, 0), *((LEARNED_MODEL, count) for count in TRAINING_PUSH_COUNTS)]
+    believed = [(EVEN_MODEL, 0), *((LEARNED_MODEL, count) for count in PUSH_COUNTS)]
     assert means.keys() == {(STILL_MODEL, 0, LCP_ENGINE)} | {
         (model, training, engine) for model, training in believed for engine in job.engines
     }
@@ -129,12 +147,12 @@ def test_the_table_has_every_set_with_its_own_model():
         even = replace(base, model=EVEN_MODEL, errors=(0.006, 0.008))
         learned = [
             replace(base, model=LEARNED_MODEL, training=count, errors=(0.001 * job.split, 0.004))
-            for count in TRAINING_PUSH_COUNTS
+            for count in PUSH_COUNTS
         ]
         return [base, even, *learned]
 
     (table,) = tabulate(options, Done((job, make(job)) for job in jobs))
-    assert list(table.columns) == ["set", "model", "training", LCP_ENGINE, "repeated"]
+    assert list(table.columns[:5]) == ["set", "model", "training", LCP_ENGINE, "repeated"]
     rows = {(row[1], row[2]): row[3] for row in table.rows}
     assert list(rows) == [
         (STILL_MODEL, 0),
@@ -150,3 +168,81 @@ def test_the_table_has_every_set_with_its_own_model():
     assert rows[LEARNED_MODEL, 5].high == pytest.approx(errors.mean() + half)
     assert 1.0 < rows[SET_MODEL, None].mean < 10.0
     assert table.rows[0][4] is None
+
+
+def test_a_set_of_two_point_pushes_is_divided_by_actions_and_says_what_is_stable(tmp_path):
+    block = Model(triangle_block())
+    # each action is made twice; the second time the block ends 1 mm farther on
+    pushes = []
+    for i, angle in enumerate(np.linspace(-0.3, 0.3, 20)):
+        for again in (0, 1):
+            end = simulate_two_point(block, angle) + [0.001 * again, 0, 0]
+            stable = int(abs(angle) < 0.1)
+            pushes.append(
+                describe_two_point(f"a_{i}_{again}", np.zeros(3), end, angle, stable=stable)
+            )
+    path = write_two_point(tmp_path / "two.txt", pushes)
+    known = read_set(path, TWO_POINT_LOG)
+    assert known.calc_repeatability() == pytest.approx(0.001, rel=1e-6)
+    division = divide(known, 4, seed=1, number=0)
+    for count in PUSH_COUNTS:
+        assert len(division.training[count]) == count
+        kept = {known.groups[i] for i in division.training[count]}
+        assert not kept & {known.groups[i] for i in division.test}
+
+    job = RealityJob("two", TWO_POINT_LOG, path, 0, 4, (LCP_ENGINE,), 1)
+    (table,) = tabulate(RealityBenchOptions(data=tmp_path), Done([(job, run_job(job))]))
+    rows = {(row[1], row[2]): dict(zip(table.columns, row, strict=True)) for row in table.rows}
+    even = rows[EVEN_MODEL, 0]
+    assert even[LCP_ENGINE].mean < 1.1 < rows[STILL_MODEL, 0][LCP_ENGINE].mean
+    assert even["repeated"] == pytest.approx(1.0)
+    assert even["in 90 % region, %"] is None
+    assert 0 <= rows[LEARNED_MODEL, 25]["in 90 % region, %"].mean <= 100
+    assert 50 <= even["stable told, %"].mean <= 100
+
+
+def test_runs_from_one_start_are_held_out_and_predicted_to_their_end(tmp_path):
+    obj = GridObject.from_outline(rectangle(0.05, 0.035), max_cells=12)
+    X_RC = np.array([0.002, -0.0015, 0.0])
+    lines = [
+        line
+        for task, turns in {"a": [0.3, -0.3], "b": [-0.3, 0.2], "c": [0.25, -0.3]}.items()
+        for repeat in (0, 1)
+        for line in simulate_run(Model(obj), task, repeat, turns, X_RC)
+    ]
+    path = write_runs(tmp_path / "block.csv", obj, lines)
+    options = RealityBenchOptions(data=tmp_path, splits=1, plants=False)
+    (job,) = make_jobs(options)
+    assert (job.name, job.kind) == ("block", DUBINS_LOG)
+    known = read_set(path, DUBINS_LOG)
+    assert [(run.group, len(run.pushes)) for run in known.runs] == [
+        (group, 2) for group in (0, 0, 1, 1, 2, 2)
+    ]
+    tables = tabulate(options, Done([(job, run_job(job))]))
+    pushes, runs = ({(row[1], row[2]): row for row in table.rows} for table in tables)
+    assert list(pushes) == [
+        (STILL_MODEL, 0),
+        (EVEN_MODEL, 0),
+        (LEARNED_MODEL, 3),
+        (FRAME_MODEL, 3),
+    ]
+    place = tables[1].columns.index("end, mm")
+    # as the camera tells them, whose frame is off, the ends are predicted worse
+    raw = [
+        calc_run_score(find_run_end(Model(known.obj), run), run).position for run in known.runs[:2]
+    ]
+    assert runs[EVEN_MODEL, 0][place].mean < 0.7e3 * np.mean(raw)
+    assert runs[STILL_MODEL, 0][place].mean > 20
+
+
+def test_the_plants_push_with_two_fingers_as_the_model_says():
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
+    model = Model(GridObject.from_outline(rectangle(0.1, 0.08), max_cells=30))
+    push = Push.about((-0.053, 0.4), 0.15, shape=FINGERS, start=(-0.053, 0.0), duration=2.0)
+    seen = ObservedPush("arc", push, np.zeros(3), np.array([2.0]), np.zeros((1, 3)))
+    log = PushLog((seen,))
+    (expected,) = find_ends(LCP_ENGINE, model, log)
+    assert expected[2] > 0.14
+    for engine in (DRAKE_ENGINE, MUJOCO_ENGINE):
+        (end,) = find_ends(engine, model, log)
+        assert calc_error(end, expected) < 1e-3

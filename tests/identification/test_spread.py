@@ -11,6 +11,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_final_errors, predict
 from gridpush_drake.identification.spread import (
     INTERVAL_PROBABILITY,
+    calc_norm_probability,
     calc_norm_quantile,
     predict_spread,
 )
@@ -46,6 +47,18 @@ def test_fewer_pushes_make_the_tails_longer_as_students_t_has_them() -> None:
     assert calc_norm_quantile(np.eye(3), noise.calc_freedom(0)) == pytest.approx(
         calc_norm_quantile(np.eye(3))
     )
+
+
+def test_ranks_of_errors_are_spread_evenly() -> None:
+    rng, freedom = np.random.default_rng(3), 6.0
+    stretched = np.sqrt(freedom / rng.chisquare(freedom, (4000, 1)))
+    root = np.diag([1.2, 1.0, 0.8])
+    drawn = np.linalg.norm(rng.normal(size=(4000, 3)) @ root * stretched, axis=1)
+    covariance = root @ root
+    ranks = [calc_norm_probability(covariance, freedom, norm) for norm in drawn]
+    np.testing.assert_allclose(np.histogram(ranks, 5, (0, 1))[0] / len(ranks), 0.2, atol=0.03)
+    quantile = calc_norm_quantile(covariance, freedom, 0.7)
+    assert calc_norm_probability(covariance, freedom, quantile) == pytest.approx(0.7)
 
 
 def test_regions_hold_what_they_say_of_pushes_some_of_which_are_much_farther_off_than_most() -> (

@@ -1,11 +1,12 @@
-"""Logs for `gridpush bench real`: those of real robots below a folder, or simulated ones.
+"""Logs for `gridpush bench real` and `reality`: those of real robots below a folder, or simulated.
 
 Real logs are public data of other people. Simulated ones stand in where there are none: masses and
 frictions are hidden, drawn by part, every push begins at a random place of the outline, and the
 object is seen with noise at the push's beginning and end.
 """
 
-from collections.abc import Sequence
+import csv
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,6 +23,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.importers.cmu import POSE_SIZE
+from gridpush_drake.pushes.importers.dubins import COLUMNS
+from gridpush_drake.pushes.importers.two_point import HEAD_SIZE, MOTIONS
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 SIMULATED_PUSH_COUNT = 50
@@ -30,11 +33,24 @@ SIMULATED_PUSH_COUNT = 50
 FRICTION_RANGE = (0.2, 0.5)
 """Least and greatest friction of a part against the support."""
 
+CMU_RHO = 0.05 * 2**0.5
+"""Length by which the CMU's metric multiplies an angle, m."""
+
 CMU_LOG = "cmu"
 """Kind of a log of the CMU's."""
 
 MIT_LOG = "mit"
 """Kind of a log of the MIT's."""
+
+TWO_POINT_LOG = "two-point"
+"""Kind of a log of the CMU's pushes by two tips."""
+
+DUBINS_LOG = "dubins"
+"""Kind of a log of runs in which two fingers push along planned curves."""
+
+OUTLINE_ENDING = "_outline.csv"
+"""Ending of the name of the file beside such a log that has the outline of what is pushed: columns
+x and y, m, counterclockwise in the frame of the logged poses, as far as that is known."""
 
 SIMULATED_LOG = "simulated"
 """Kind of a log that is simulated."""
@@ -87,15 +103,18 @@ RECORDS_VARIABLE = "record_all"
 """Name of the variable of a MATLAB file that holds pushes."""
 
 
-def find_push_logs(data: Path, min_pushes: int) -> list[tuple[str, Path]]:
+def find_push_logs(
+    data: Path, min_pushes: int, kinds: Collection[str] = (CMU_LOG, MIT_LOG)
+) -> list[tuple[str, Path]]:
     """Finds real robots' push logs below a folder.
 
     Args:
         data: the folder.
-        min_pushes: files of the CMU's form with fewer pushes are passed over.
+        min_pushes: text files with fewer pushes are passed over.
+        kinds: kinds of logs that are wanted.
 
     Returns:
-        Kind and file of each log, the CMU's first.
+        Kind and file of each log, kind by kind.
 
     Raises:
         GridPushError: there is no such folder, or no push log in it.
@@ -104,28 +123,45 @@ def find_push_logs(data: Path, min_pushes: int) -> list[tuple[str, Path]]:
         f"push logs as of {CMU_SOURCE} (text files of {min_pushes} or more pushes) or of "
         f"{MIT_SOURCE} (.mat)"
     )
+    if DUBINS_LOG in kinds:
+        expected += f", or runs of two fingers (NAME.csv, with NAME{OUTLINE_ENDING} beside)"
     check_folder(data, expected)
+    texts = [(_count_pushes(path), path) for path in sorted(data.rglob("*.txt"))]
     logs = [
-        (CMU_LOG, path)
-        for path in sorted(data.rglob("*.txt"))
-        if _count_cmu_pushes(path) >= min_pushes
+        (kind, path)
+        for kind in (CMU_LOG, TWO_POINT_LOG)
+        for (of, count), path in texts
+        if of == kind and count >= min_pushes
     ]
     logs += [(MIT_LOG, path) for path in sorted(data.rglob("*.mat")) if _has_records(path)]
+    logs += [(DUBINS_LOG, path) for path in sorted(data.rglob("*.csv")) if _has_runs(path)]
+    logs = [(kind, path) for kind, path in logs if kind in kinds]
     if not logs:
         raise GridPushError(f"{data}: holds no push log; expected {expected}")
     return logs
 
 
-def _count_cmu_pushes(path: Path) -> int:
-    """Reads how many pushes a file of the CMU's form says that it has; 0 for another file."""
+def _count_pushes(path: Path) -> tuple[str, int]:
+    """Reads of which of the CMU's forms a text is, and how many pushes it says that it has."""
     try:
         with path.open() as file:
-            count, before, after = (file.readline().split() for _ in range(3))
-        if len(count) == 1 and len(before) == len(after) == POSE_SIZE:
-            return int(count[0])
+            count, first, second = (file.readline().split() for _ in range(3))
+        if len(count) == 1 and len(first) == len(second) == POSE_SIZE:
+            return CMU_LOG, int(count[0])
+        if len(count) == 1 and len(first) == HEAD_SIZE and first[1] in MOTIONS:
+            return TWO_POINT_LOG, int(count[0])
     except (OSError, ValueError):
         pass
-    return 0
+    return "", 0
+
+
+def _has_runs(path: Path) -> bool:
+    """Says whether a table holds runs of two fingers."""
+    try:
+        with path.open(newline="") as file:
+            return set(COLUMNS) <= set(next(csv.reader(file), []))
+    except (OSError, ValueError, csv.Error):
+        return False
 
 
 def _has_records(path: Path) -> bool:

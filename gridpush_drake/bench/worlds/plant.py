@@ -21,9 +21,11 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
+    Joint,
     ModelInstanceIndex,
     PdControllerGains,
     PrismaticJoint,
+    RevoluteJoint,
     SpatialInertia,
 )
 from pydrake.systems.analysis import Simulator
@@ -31,10 +33,11 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from shapely import Point
 
 from gridpush_drake.bench.study import JobKind
+from gridpush_drake.bench.worlds.mujoco_plant import require_discs
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.pusher import choose_pusher_radius
+from gridpush_drake.dynamics.pusher import PusherShape, choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array
@@ -109,10 +112,10 @@ PUSHER_MASS = 1.0
 """Mass of each of the pusher's two bodies, kg."""
 
 PUSHER_GAIN = 1e7
-"""Stiffness with which the pusher is held to its path, N/m."""
+"""Stiffness with which the pusher is held to its path, N/m, and N m/rad of one that turns."""
 
 PUSHER_DAMPING = 1e4
-"""Damping with which the pusher is held to its path, N s/m."""
+"""Damping with which the pusher is held to its path, N s/m, and N m s/rad of one that turns."""
 
 TABLE_SIZE = (4.0, 4.0, 0.1)
 """Sides of the table in the plant along x, y and z, m."""
@@ -292,12 +295,12 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
 
 
 class PlantWorld(TrackedWorld):
-    """An object in a MultibodyPlant on a table, pushed by a sphere along a given path.
+    """An object in a MultibodyPlant on a table, pushed by a sphere or several along a given path.
 
-    The sphere slides on two prismatic joints, x and y, and is held to its path by stiff implicit PD
-    gains: it errs by force/gain, 1e-6 m. A pusher of huge mass at constant velocity would seem
-    simpler, but Drake's solver stops at a residual relative to the largest momentum around, and the
-    object's motion is then not solved at all.
+    The sphere slides on two prismatic joints, x and y (several turn on a revolute one, too), and is
+    held to its path by stiff implicit PD gains: it errs by force/gain, 1e-6 m. A pusher of huge
+    mass at constant velocity would seem simpler, but Drake's solver stops at a residual relative to
+    the largest momentum around, and the object's motion is then not solved at all.
 
     With the "planar" base the object cannot fall: as in `SimulatedWorld`, it counts as fallen where
     its center of mass leaves the hull of what lies on the table. With the "free" base it has fallen
@@ -306,6 +309,7 @@ class PlantWorld(TrackedWorld):
     Attributes:
         bodies: the object with its true masses and frictions; `set_params` changes them.
         radius: radius of the pusher, m.
+        shape: the pusher's spheres from above; None of one sphere.
         dt: time step of the plant, s.
         plant: the plant.
         scene_graph: its geometry.
@@ -324,6 +328,7 @@ class PlantWorld(TrackedWorld):
         surface: SupportSurface | None = None,
         *,
         radius: float | None = None,
+        shape: PusherShape | None = None,
         base: Base = "planar",
         push_height: float = PUSH_HEIGHT,
         edge: float | None = None,
@@ -341,6 +346,7 @@ class PlantWorld(TrackedWorld):
             surface: the table as far as falling goes, see above; None for one without end. The
                 plant's own table is TABLE_SIZE large.
             radius: radius of the pusher, m; the one that planners push with where None.
+            shape: discs, as which the pusher's spheres are seen from above, in place of a radius.
             base: "planar" or "free".
             push_height: height of the pusher's center above the table, m.
             edge: x of the plant's table's edge in W, m: the table is where x is less; None for a
@@ -352,7 +358,8 @@ class PlantWorld(TrackedWorld):
             options: passed on to `AddGridObject`.
         """
         self.bodies = bodies
-        self.radius = choose_pusher_radius(bodies.obj, radius)
+        self.radius = choose_pusher_radius(bodies.obj, shape.radius if shape else radius)
+        self.shape = shape
         self.dt = TIME_STEP[base]
         self.tracking_error = 0.0
         self._support = (
@@ -371,7 +378,7 @@ class PlantWorld(TrackedWorld):
             "table",
             MakePartnerProperties(),
         )
-        self.pusher = AddPusher(self.plant, self.radius, push_height)
+        self.pusher = AddPusher(self.plant, self.radius, push_height, shape)
         self.handle = AddGridObject(
             self.plant, self.scene_graph, bodies, base, table=[table], **options
         )
@@ -406,18 +413,22 @@ class PlantWorld(TrackedWorld):
         """Pushes the object from where it is, at rest.
 
         Raises:
-            PushError: the pusher's radius is another.
+            PushError: the pusher's radius is another, or one of both is a disc alone.
         """
         if not np.isclose(push.radius, self.radius):
             raise PushError(
                 f"push: the radius is {push.radius:g} m; "
                 f"expected that of the plant's pusher, {self.radius:g} m"
             )
+        if (push.shape is None) != (self.shape is None):
+            raise PushError("push: expected the pusher of the plant, discs or one disc")
         plant = self.plant
         context = self.simulator.get_mutable_context()
         plant_context = self._plant_context
         times = np.linspace(0, push.duration, round(push.duration / self.dt) + 1)
         path = push.tip_at(times)
+        if push.shape is not None:
+            path = np.column_stack([path, push.yaw_at(times)])
         velocity = np.gradient(path, times, axis=0)
         desired = plant.get_desired_state_input_port(self.pusher)
 
@@ -437,8 +448,8 @@ class PlantWorld(TrackedWorld):
             desired.FixValue(plant_context, np.r_[path[i], velocity[i]])
             self.simulator.AdvanceTo(i * self.dt)
             poses.append(CalcPlanarPose(plant, plant_context, self.handle))
-            off = float(np.linalg.norm(plant.GetPositions(plant_context, self.pusher) - path[i]))
-            self.tracking_error = max(self.tracking_error, off)
+            off = plant.GetPositions(plant_context, self.pusher)[:2] - path[i, :2]
+            self.tracking_error = max(self.tracking_error, float(np.linalg.norm(off)))
             tilt.append(self._read_tilt())
         made = np.array(poses)
         made[:, 2] = np.unwrap(np.append(pose[2], made[:, 2]))[1:]
@@ -465,31 +476,51 @@ PLANT_JOBS = JobKind(job=PlantJob, run=run_job, describe=lambda job: f"{job.name
 """What is done with a job."""
 
 
-def AddPusher(plant: MultibodyPlant, radius: float, height: float) -> ModelInstanceIndex:
-    """Adds a sphere on two prismatic joints, x and y of the world, with PD gains, before Finalize.
+def AddPusher(
+    plant: MultibodyPlant, radius: float, height: float, shape: PusherShape | None = None
+) -> ModelInstanceIndex:
+    """Adds spheres on prismatic joints, x and y of the world, with PD gains, before Finalize.
 
     Args:
         plant: the plant.
-        radius: radius of the sphere, m.
-        height: height of its center above the world's origin, m.
+        radius: radius of the spheres, m.
+        height: height of their centers above the world's origin, m.
+        shape: places of several spheres, which also turn together; None of a single one.
 
     Returns:
-        Its model instance; the desired state is x, y (m) and their rates (m/s).
+        Their model instance; the desired state is x, y (m) and their rates (m/s); of several
+        spheres x, y, yaw (m and rad) and their rates.
+
+    Raises:
+        PushError: the shape is a polygon.
     """
+    if shape is not None:
+        require_discs(shape)
     instance = plant.AddModelInstance("pusher")
     inertia = SpatialInertia.SolidSphereWithMass(PUSHER_MASS, radius)
-    slide = plant.AddRigidBody("slide", instance, inertia)
-    tip = plant.AddRigidBody("tip", instance, inertia)
+    names = ("slide", "tip") if shape is None else ("slide", "carriage", "tip")
+    slide, *others = (plant.AddRigidBody(name, instance, inertia) for name in names)
+    tip = others[-1]
     X_WR = RigidTransform(np.array([0, 0, height]))
     rail = plant.AddFrame(FixedOffsetFrame("rail", plant.world_frame(), X_WR, instance))
-    for name, parent, child, axis in (
-        ("x", rail, slide.body_frame(), [1, 0, 0]),
-        ("y", slide.body_frame(), tip.body_frame(), [0, 1, 0]),
-    ):
-        joint = plant.AddJoint(PrismaticJoint(name, parent, child, np.array(axis)))
-        gains = PdControllerGains(p=PUSHER_GAIN, d=PUSHER_DAMPING)
-        plant.AddJointActuator(name, joint).set_controller_gains(gains)
-    plant.RegisterCollisionGeometry(
-        tip, RigidTransform(), Sphere(radius), "tip", MakePartnerProperties()
-    )
+    x, y, z = np.eye(3)
+    joints: list[Joint] = [
+        PrismaticJoint("x", rail, slide.body_frame(), x),
+        PrismaticJoint("y", slide.body_frame(), others[0].body_frame(), y),
+    ]
+    if shape is not None:
+        joints.append(RevoluteJoint("yaw", others[0].body_frame(), tip.body_frame(), z))
+    for joint in joints:
+        added = plant.AddJoint(joint)
+        actuator = plant.AddJointActuator(joint.name(), added)
+        actuator.set_controller_gains(PdControllerGains(p=PUSHER_GAIN, d=PUSHER_DAMPING))
+    centers = np.zeros((1, 2)) if shape is None else shape.core
+    for i, center in enumerate(centers):
+        plant.RegisterCollisionGeometry(
+            tip,
+            RigidTransform(np.array([*center, 0])),
+            Sphere(radius),
+            f"tip{i}" if i else "tip",
+            MakePartnerProperties(),
+        )
     return instance

@@ -26,7 +26,7 @@ BENCHES: dict[str, LazyCommand] = {
         "predict others of them.",
     ),
     "reality": LazyCommand(
-        "gridpush_drake.bench.reality:STUDY",
+        "gridpush_drake.bench.reality.experiments:STUDY",
         "Predict every set of real pushes (--data), or simulated ones in their place, by our "
         "model and by Drake's and MuJoCo's plants with the same masses.",
     ),

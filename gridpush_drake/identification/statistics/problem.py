@@ -137,7 +137,13 @@ class Linearization:
 
 
 def find_fastest(log: PushLog) -> float:
-    """The mean speed of a log's fastest push, m/s; 0 of an empty log."""
+    """The mean speed of a log's fastest push, m/s; 0 of an empty log.
+
+    It is 0 as well where a push is by another shape than a disc: such pushes are simulated as slow
+    ones only, and a log has one regime.
+    """
+    if any(seen.push.shape is not None for seen in log):
+        return 0.0
     return max((seen.push.length / seen.push.duration for seen in log), default=0.0)
 
 

@@ -6,7 +6,8 @@ logged. Every push becomes one of the log, in the world frame of the file.
 The file is CSV with the columns task, repeat, t (s), object_x, object_y, object_theta, robot_x,
 robot_y, robot_theta (m and rad) and action. Object cells are empty where the camera did not see it.
 The robot's frame is midway between the fingers, and its x axis points where they push. The camera
-is late: what it tells at t is where the object was a little before.
+is late: what it tells at t is where the object was a little before. Its frame may be off the
+robot's, by some millimeters and a degree, which shows by where the fingers lie on the outline.
 """
 
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.csv_table import fail, is_empty, read_number, read_table
 from gridpush_drake.pushes.importers import require_object
+from gridpush_drake.pushes.importers.camera_frame import find_camera_frame, place_in_robot_frame
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -49,6 +51,38 @@ class _Observation(NamedTuple):
     t: float
     seen: list[float] | None
     robot: list[float]
+
+
+class FingerPush(NamedTuple):
+    """One push of a run, world frame of the file.
+
+    Attributes:
+        task, repeat: which run it is of.
+        number: its number in the run, from 1.
+        push: the fingers' path.
+        before, after: (3,) mean poses of the object at rest, m and rad; None where it was not seen.
+        during: when it was seen in between, s from the push's beginning, and its poses (3,).
+    """
+
+    task: str
+    repeat: str
+    number: int
+    push: Push
+    before: Array | None
+    during: list[tuple[float, Array]]
+    after: Array | None
+
+    def observe(self) -> ObservedPush | None:
+        """Makes the log's entry of a push; None where its beginning or its end was not seen."""
+        if self.before is None or self.after is None:
+            return None
+        return ObservedPush(
+            name=f"{self.task}_{self.repeat}_{self.number}",
+            push=self.push,
+            pose=self.before,
+            t_observed=np.array([*(when for when, _ in self.during), self.push.duration]),
+            poses_observed=np.array([*(pose for _, pose in self.during), self.after]),
+        )
 
 
 @dataclass(frozen=True)
@@ -80,6 +114,14 @@ class DubinsImporter:
         default=0.14, metadata={"help": "How late the object's poses are, s."}
     )
 
+    calibrate: bool = field(
+        default=True,
+        metadata={
+            "help": "Find where the camera's frame is in the robot's, from where the fingers lie "
+            "on the outline while they push."
+        },
+    )
+
     def __post_init__(self) -> None:
         for name in ("finger_radius", "finger_distance"):
             if not 0 < getattr(self, name) < np.inf:
@@ -105,6 +147,23 @@ class DubinsImporter:
         """
         path = Path(path)
         obj = require_object(path, self.obj)
+        pushes = [push.observe() for push in self.list_pushes(path)]
+        seen = [push for push in pushes if push is not None]
+        if not seen:
+            raise PushLogError(
+                f"{path}: no push is seen at its beginning and its end; expected {FILE_FORM}"
+            )
+        if self.calibrate:
+            X_RC = find_camera_frame(obj, seen)
+            seen = [place_in_robot_frame(push, X_RC) for push in seen]
+        return PushLog(tuple(seen), str(path)), obj
+
+    def list_pushes(self, path: Path) -> list[FingerPush]:
+        """Lists the pushes of all runs of a file in their order, those that are not seen, too.
+
+        Raises:
+            PushLogError: the file cannot be read or is not of its form.
+        """
         half = self.finger_distance / 2
         shape = PusherShape.discs([(0.0, -half), (0.0, half)], self.finger_radius)
         pushes = []
@@ -112,15 +171,11 @@ class DubinsImporter:
         for rows in _cut_pushes(_read_rows(path)):
             task, repeat, _ = rows[0].push
             number = numbers.get((task, repeat), 0) + 1
-            numbers[task, repeat] = number
-            seen = _make_push(rows, f"{task}_{repeat}_{number}", shape, self.object_delay)
-            if seen is not None:
-                pushes.append(seen)
-        if not pushes:
-            raise PushLogError(
-                f"{path}: no push is seen at its beginning and its end; expected {FILE_FORM}"
-            )
-        return PushLog(tuple(pushes), str(path)), obj
+            push = _make_push(rows, number, shape, self.object_delay)
+            if push is not None:
+                numbers[task, repeat] = number
+                pushes.append(push)
+        return pushes
 
 
 def _read_rows(path: Path) -> list[_Observation]:
@@ -163,9 +218,9 @@ def _cut_pushes(rows: list[_Observation]) -> list[list[_Observation]]:
 
 
 def _make_push(
-    rows: list[_Observation], name: str, shape: PusherShape, delay: float
-) -> ObservedPush | None:
-    """Makes the log's entry of a push; None where its beginning or its end was not seen."""
+    rows: list[_Observation], number: int, shape: PusherShape, delay: float
+) -> FingerPush | None:
+    """Makes a push of its rows; None where the fingers stand still."""
     robot = np.array([row.robot for row in rows])
     t = np.array([row.t for row in rows])
     moving = _find_motion(robot)
@@ -183,18 +238,16 @@ def _make_push(
         seen.append((row.t - delay, pose))
     # the poses at rest before and after the motion, and those in between
     first = [pose for when, pose in seen if when <= begin]
-    during = [(when - begin, pose) for when, pose in seen if begin < when < end]
     after = [pose for when, pose in seen if when >= end]
-    if not first or not after:
-        return None
-    duration = float(end - begin)
-    push = Push.along(t[moving], robot[moving, :2], shape=shape, yaw=np.unwrap(robot[moving, 2]))
-    return ObservedPush(
-        name=name,
-        push=push,
-        pose=np.mean(first, axis=0),
-        t_observed=np.array([*(when for when, _ in during), duration]),
-        poses_observed=np.array([*(pose for _, pose in during), np.mean(after, axis=0)]),
+    task, repeat, _ = rows[0].push
+    return FingerPush(
+        task=task,
+        repeat=repeat,
+        number=number,
+        push=Push.along(t[moving], robot[moving, :2], shape=shape, yaw=np.unwrap(robot[moving, 2])),
+        before=np.mean(first, axis=0) if first else None,
+        during=[(when - begin, pose) for when, pose in seen if begin < when < end],
+        after=np.mean(after, axis=0) if after else None,
     )
 
 

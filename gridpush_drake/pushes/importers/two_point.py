@@ -33,6 +33,9 @@ COMMAND_FORM = "point x y, normal x y, center x y, angle, gap, fraction (m, rad)
 TOOL_FORM = "t x y theta (s, m, rad)"
 FORCE_FORM = "t fx fy (s, N)"
 
+MOTIONS = ("rotation", "translation")
+"""The kinds of motion that the first line of a push can name."""
+
 HEAD_SIZE = 4
 """How many words the first line of a push has."""
 

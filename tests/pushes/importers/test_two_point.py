@@ -9,33 +9,20 @@ from gridpush_drake.pushes.importers.cmu import triangle_block
 from gridpush_drake.pushes.importers.two_point import TWO_TIPS, TwoPointImporter
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shared_data import observe_two_point
+from tests.helpers.two_tip_logs import describe_two_point, write_two_point
 
 BEFORE = np.array([0.5, -0.2, 0.4])
 AFTER = np.array([0.51, -0.19, 0.5])
 ROWS = 5
 
 
-def make_push(name, usable=1, before=BEFORE, after=AFTER, angle=0.17):
-    """The tool begins at (-0.05, 0) in the block's frame and turns about (-0.05, 0.1) in it."""
-    lines = [f"{name} rotation 1 {usable}"]
-    for pose in (before, after):
-        lines.append(" ".join(map(repr, pose.tolist())))
-    lines += [f"-0.05 0 1 0 -0.05 0.1 {angle} 0 1", str(ROWS)]
-    for t, turn in zip(np.linspace(10.0, 14.0, ROWS), np.linspace(0, angle, ROWS), strict=True):
-        tool = np.array([-0.05 + 0.1 * np.sin(turn), 0.1 - 0.1 * np.cos(turn), turn])
-        lines.append(" ".join(map(repr, [float(t), *compose(before, tool).tolist()])))
-    return [*lines, "2", "10.0 0 0", "11.0 0.5 -0.25"]
+def make_push(name, usable=1, angle=0.17):
+    return describe_two_point(name, BEFORE, AFTER, angle, usable=usable, rows=ROWS)
 
 
 @pytest.fixture
 def write(tmp_path):
-    def write(*pushes):
-        path = tmp_path / "pushes.txt"
-        lines = [str(len(pushes)), *(line for push in pushes for line in push)]
-        path.write_text("\n".join(lines) + "\n")
-        return path
-
-    return write
+    return lambda *pushes: write_two_point(tmp_path / "pushes.txt", list(pushes))
 
 
 def test_pushes_are_in_the_initial_object_frame(write):
