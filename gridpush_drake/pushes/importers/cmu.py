@@ -13,6 +13,7 @@ and the rows (t fx fy), the number of tool rows and the rows (t x y z qw qx qy q
 mm, times in s (absolute), forces in N and in the sensor's frame.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -231,24 +232,13 @@ def triangle_block(uniform_plate: bool = False) -> GridObject:
 
 
 @dataclass(frozen=True)
-class CmuImporter:
-    """Convert a log of CMU's triangular block (Zhou, Paolini, Bagnell, Mason, ICRA 2016).
+class TriangleBlockImporter:
+    """What importers of logs of CMU's triangular block have in common.
 
-    To calibrate is to correct the logged tool point to the tip's center (TIP_OFFSET), to take the
-    log's steps out of its straight path, and to let it travel on for TIP_EXTENSION. Shuffled, no
-    two neighbors are known to be chained.
+    In the logs each push begins where the one before it ended. Shuffled, no two neighbors are known
+    to be chained.
     """
 
-    file: ClassVar[str] = "LOG.txt"
-    source: ClassVar[str] = "a log in the GitHub repository robinzhoucmu/MLab_EXP"
-
-    calibrate: bool = field(
-        default=True,
-        metadata={
-            "help": "Correct the places in the log, which are those of a point on the tool, to the "
-            "center of the pusher's tip."
-        },
-    )
     shuffle: bool = field(
         default=True,
         metadata={
@@ -270,6 +260,53 @@ class CmuImporter:
         if self.seed < 0:
             raise PushLogError(f"seed is {self.seed}; expected 0 or more")
 
+    def collect(
+        self, path: Path, names: Sequence[str], observe: Callable[[int, str], ObservedPush]
+    ) -> tuple[PushLog, GridObject]:
+        """Makes a log of the pushes of a file, in the order that is asked for, and the block.
+
+        Args:
+            path: of the file, for messages.
+            names: of the pushes in the file, for messages.
+            observe: makes the log's entry of one of them, with its name in the log; may raise
+                PushError.
+
+        Raises:
+            PushLogError: a push could not be made.
+        """
+        count = len(names)
+        rng = np.random.default_rng(self.seed)
+        order = rng.permutation(count) if self.shuffle else np.arange(count)
+        digits = len(str(count))
+        pushes = []
+        for place, i in enumerate(order.tolist(), start=1):
+            try:
+                pushes.append(observe(i, f"push_{place:0{digits}}"))
+            except PushError as error:
+                raise PushLogError(f"{path}: push {names[i]}: {error}") from error
+        return PushLog(tuple(pushes), str(path)), triangle_block(self.uniform_plate)
+
+
+@dataclass(frozen=True)
+class CmuImporter(TriangleBlockImporter):
+    """Convert a log of CMU's triangular block (Zhou, Paolini, Bagnell, Mason, ICRA 2016).
+
+    To calibrate is to correct the logged tool point to the tip's center (TIP_OFFSET), to take the
+    log's steps out of its straight path, and to let it travel on for TIP_EXTENSION. Shuffled, no
+    two neighbors are known to be chained.
+    """
+
+    file: ClassVar[str] = "LOG.txt"
+    source: ClassVar[str] = "a log in the GitHub repository robinzhoucmu/MLab_EXP"
+
+    calibrate: bool = field(
+        default=True,
+        metadata={
+            "help": "Correct the places in the log, which are those of a point on the tool, to the "
+            "center of the pusher's tip."
+        },
+    )
+
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a file of CMU pushes.
 
@@ -283,32 +320,21 @@ class CmuImporter:
         """
         path = Path(path)
         logged = read_cmu(path)
-        count = len(logged)
-        rng = np.random.default_rng(self.seed)
-        order = rng.permutation(count) if self.shuffle else np.arange(count)
-        digits = len(str(count))
-        pushes = []
-        for place, i in enumerate(order, start=1):
-            try:
-                seen = _observe(logged[i], f"push_{place:0{digits}}", self.calibrate)
-            except PushError as error:
-                raise PushLogError(f"{path}: push {i + 1}: {error}") from error
-            if seen is None:
-                raise PushLogError(
-                    f"{path}: push {i + 1}: the tool does not move; expected a path, at times that "
-                    "increase"
-                )
-            pushes.append(seen)
-        return PushLog(tuple(pushes), str(path)), triangle_block(self.uniform_plate)
+        names = [str(i + 1) for i in range(len(logged))]
+        return self.collect(path, names, lambda i, name: _observe(logged[i], name, self.calibrate))
 
 
-def _observe(logged: CmuPush, name: str, calibrate: bool) -> ObservedPush | None:
-    """Makes the log's entry of a push; None where the tool does not move."""
+def _observe(logged: CmuPush, name: str, calibrate: bool) -> ObservedPush:
+    """Makes the log's entry of a push.
+
+    Raises:
+        PushError: the tool does not move.
+    """
     q_before = _centroid_pose(logged.before)
     q_after = _centroid_pose(logged.after)
     tool = _without_standstill(_in_time_order(logged.tool))
     if tool is None:
-        return None
+        raise PushError("the tool does not move; expected a path, at times that increase")
     yaw = _calc_yaw(tool[:, 4:])
     t = tool[:, 0] - tool[0, 0]
     p = tool[:, 1:3] * M_PER_MM

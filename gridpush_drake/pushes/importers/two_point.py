@@ -12,7 +12,7 @@ rows and the rows (t x y theta); and the number of force rows and the rows (t fx
 frame is midway between the tips' fronts, its x axis along the normal at the beginning.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -20,10 +20,10 @@ import numpy as np
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import PusherShape
-from gridpush_drake.errors import PushError, PushLogError
+from gridpush_drake.errors import PushLogError
 from gridpush_drake.geometry.se2 import Array, compose, invert, rotate, transform_back
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.importers.cmu import TIP_RADIUS, FileLines, triangle_block
+from gridpush_drake.pushes.importers.cmu import TIP_RADIUS, FileLines, TriangleBlockImporter
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -116,7 +116,7 @@ def _read_push(lines: FileLines, i: int) -> TwoPointPush:
 
 
 @dataclass(frozen=True)
-class TwoPointImporter:
+class TwoPointImporter(TriangleBlockImporter):
     """Convert a log of CMU's triangular block, pushed by two tips at once (Zhou and others, 2015).
 
     Pushes that the log calls unusable are left out. Shuffled, no two neighbors are known to be
@@ -125,27 +125,6 @@ class TwoPointImporter:
 
     file: ClassVar[str] = "LOG.txt"
     source: ClassVar[str] = "two-point pushes of the repository robinzhoucmu/MLab_EXP, as one text"
-
-    shuffle: bool = field(
-        default=True,
-        metadata={
-            "help": "Put the pushes in random order. In the log, each push begins where the one "
-            "before it ended."
-        },
-    )
-    uniform_plate: bool = field(
-        default=False,
-        metadata={
-            "help": "Write into the object file that the block's center of mass is at its "
-            "centroid.",
-            "name": "--uniform-plate",
-        },
-    )
-    seed: int = field(default=0, metadata={"help": "Seed of the random order."})
-
-    def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise PushLogError(f"seed is {self.seed}; expected 0 or more")
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a file of two-point pushes.
@@ -161,16 +140,8 @@ class TwoPointImporter:
         logged = [push for push in read_two_point(path) if push.usable]
         if not logged:
             raise PushLogError(f"{path}: no push can be used; expected a 1 at the end of a head")
-        rng = np.random.default_rng(self.seed)
-        order = rng.permutation(len(logged)) if self.shuffle else np.arange(len(logged))
-        digits = len(str(len(logged)))
-        pushes = []
-        for place, i in enumerate(order, start=1):
-            try:
-                pushes.append(observe_two_point(logged[i], f"push_{place:0{digits}}"))
-            except PushError as error:
-                raise PushLogError(f"{path}: push {logged[i].name}: {error}") from error
-        return PushLog(tuple(pushes), str(path)), triangle_block(self.uniform_plate)
+        names = [push.name for push in logged]
+        return self.collect(path, names, lambda i, name: observe_two_point(logged[i], name))
 
 
 def observe_two_point(logged: TwoPointPush, name: str) -> ObservedPush:
