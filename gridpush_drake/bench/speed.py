@@ -24,6 +24,7 @@ from gridpush_drake.bench.speed_cases import (
     load_hammer,
     make_bench_log,
     make_bench_push,
+    make_two_tip_push,
 )
 from gridpush_drake.bench.study import MASKS_OPTION, Study, StudyOptions, option
 from gridpush_drake.bench.timing import Timing, measure, one_core
@@ -157,16 +158,17 @@ def _make_simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
         FINAL_JACOBIAN_SUFFIX: [steps],
         ALL_JACOBIANS_SUFFIX: range(steps + 1),
     }
-    kinds: list[tuple[str, CellParameters, Regime]] = [
-        ("inertial", params, "inertial"),
-        ("quasi_static", params, "quasi_static"),
-        ("quasi_static, loads shift", high, "quasi_static"),
+    kinds: list[tuple[str, CellParameters, Push, Regime]] = [
+        ("inertial", params, push, "inertial"),
+        ("quasi_static", params, push, "quasi_static"),
+        ("quasi_static, loads shift", high, push, "quasi_static"),
+        ("quasi_static, two tips", params, make_two_tip_push(obj), "quasi_static"),
     ]
     return {
-        name + suffix: partial(_simulate, obj, shifting, push, regime, record)
-        for name, shifting, regime in kinds
+        name + suffix: partial(_simulate, obj, used, made, regime, record)
+        for name, used, made, regime in kinds
         for suffix, record in recorded.items()
-        if shifting is params or suffix != ALL_JACOBIANS_SUFFIX
+        if (used is params and made is push) or suffix != ALL_JACOBIANS_SUFFIX
     }
 
 

@@ -9,6 +9,7 @@ from gridpush_drake.bench.data.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.pregrasp.experiments import find_mask
 from gridpush_drake.dynamics.push import Push, make_path_times, make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
@@ -27,6 +28,9 @@ DISC_RADIUS = 0.015
 
 PAPER_TIME_STEP = 0.01
 """Step of the paper's simulation, s."""
+
+TIP_DISTANCE = 0.04
+"""Distance of the centers of two discs that push in the place of one, m."""
 
 CONTACT_FRACTION = 0.7
 """Where along the object's width it is pushed, 0 to 1."""
@@ -80,6 +84,13 @@ def make_bench_push(obj: GridObject) -> Push:
     x = x0 + CONTACT_FRACTION * (x1 - x0)
     bottom = obj.outline.intersection(LineString([(x, y0 - 1), (x, y1 + 1)])).bounds[1]
     return Push((x, bottom - DISC_RADIUS), (0.0, PUSH_SPEED), PUSH_DURATION, DISC_RADIUS)
+
+
+def make_two_tip_push(obj: GridObject) -> Push:
+    """Makes the same push by two discs side by side, of which the nearer one touches first."""
+    push = make_bench_push(obj)
+    tips = PusherShape.discs([(0.0, -TIP_DISTANCE / 2), (0.0, TIP_DISTANCE / 2)], DISC_RADIUS)
+    return Push.along(push.t, push.xy, shape=tips, yaw=np.pi / 2)
 
 
 def load_hammer(data: Path | None) -> GridObject:

@@ -4,8 +4,11 @@ It checks nothing: `simulation` and `GridSceneSystem` do, before they come here.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.contact.contact import Edges
@@ -29,6 +32,7 @@ from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.dynamics.scene.cores import calc_outline_reach, get_core
 from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import Array, IntArray, rotate
+from gridpush_drake.objects.grid_object import GridObject
 
 YAW, TURN, CENTER_X, CENTER_Y = range(4)
 """Ways in which the path of a pusher that is no disc is varied: all yaws by as much; in proportion
@@ -37,6 +41,9 @@ rotation, the start and the yaws held."""
 
 PATH_VARIATIONS = 4
 """Number of them."""
+
+KEPT_SHAPES = 16
+"""Number of sets of objects whose cells and outlines are kept for the next push."""
 
 CONTACTS_A_BODY = 16
 """Contacts within reach for which there is room, for each body."""
@@ -47,33 +54,69 @@ def make_bodies(bodies: Bodies) -> BodyArrays:
     # what every cell can bear, and the law of each object
     physics = bodies.physics
     k = [params.friction * params.mass * physics.gravity for params in bodies.parameters]
+    members = list(bodies)
     laws = [
         physics.law.make(loads, calc_spin_lever_arm(obj, params), physics.used_spin)
-        for (obj, params), loads in zip(
-            [*bodies, *bodies.take([0])], [*k, k[0].copy()], strict=True
-        )
+        for (obj, params), loads in zip([*members, members[0]], [*k, k[0].copy()], strict=True)
     ]
     entries, places = join_laws(laws[:-1], laws[-1])
-    # outlines for the pusher, cores for each other
-    cores = [get_core(obj) for obj in bodies.objects]
-    outlines = [obj.edges for obj in bodies.objects]
+    shapes = _join_shapes(tuple(bodies.objects))
     return BodyArrays(
-        first_cell=_count_up([obj.n for obj in bodies.objects]),
-        cells=np.concatenate([obj.p_BC.T.ravel() for obj in bodies.objects]),
-        cell_size=np.array([float(obj.cell_size) for obj in bodies.objects]),
+        first_cell=shapes.first_cell,
+        cells=shapes.cells,
+        cell_size=shapes.cell_size,
         laws=entries,
         law_places=places,
         load=np.array([float(loads.sum()) for loads in k]),
-        arm=np.array([float(obj.radius_of_gyration) for obj in bodies.objects]),
-        reach=np.array([calc_outline_reach(obj) for obj in bodies.objects]),
+        arm=shapes.arm,
+        reach=shapes.reach,
+        box=shapes.box,
+        finger_friction=np.array([float(params.contact_friction) for params in bodies.parameters]),
+        pair_friction=np.array(bodies.pair_friction),
+        outline=shapes.outline,
+        first_edge=shapes.first_edge,
+        core=shapes.core,
+        first_corner=shapes.first_corner,
+        convex=shapes.convex,
+        corner=shapes.corner,
+    )
+
+
+class JoinedShapes(NamedTuple):
+    """What the kernels know of objects' cells and outlines; the fields are `BodyArrays`'."""
+
+    first_cell: IntArray
+    cells: Array
+    cell_size: Array
+    arm: Array
+    reach: Array
+    box: Array
+    outline: Edges
+    first_edge: IntArray
+    core: Edges
+    first_corner: IntArray
+    convex: NDArray[np.bool_]
+    corner: Array
+
+
+@lru_cache(maxsize=KEPT_SHAPES)
+def _join_shapes(objects: tuple[GridObject, ...]) -> JoinedShapes:
+    """Joins objects' cells and outlines; no kernel changes them."""
+    # outlines for the pusher, cores for each other
+    cores = [get_core(obj) for obj in objects]
+    outlines = [obj.edges for obj in objects]
+    return JoinedShapes(
+        first_cell=_count_up([obj.n for obj in objects]),
+        cells=np.concatenate([obj.p_BC.T.ravel() for obj in objects]),
+        cell_size=np.array([float(obj.cell_size) for obj in objects]),
+        arm=np.array([float(obj.radius_of_gyration) for obj in objects]),
+        reach=np.array([calc_outline_reach(obj) for obj in objects]),
         box=np.array(
             [
                 np.concatenate([core.edges.start.min(axis=0), core.edges.start.max(axis=0)])
                 for core in cores
             ]
         ),
-        finger_friction=np.array([float(params.contact_friction) for params in bodies.parameters]),
-        pair_friction=np.array(bodies.pair_friction),
         outline=_join_edges(outlines),
         first_edge=_count_up([len(edges.start) for edges in outlines]),
         core=_join_edges([core.edges for core in cores]),

@@ -103,19 +103,20 @@ def simulate_together(
         row_of_step=row_of_step,
         J=J,
     )
-    # Rows beyond a step's contacts hold what an earlier step left there.
-    beyond = np.arange(result.modes.shape[1]) >= result.counts[:, None]
-    pairs = result.ids[:, :, :2].copy()
-    pairs[beyond] = NO_BODY
-    result.points[beyond] = np.nan
+    # Rows beyond a step's contacts tell nothing; as many are kept as the step with most has.
     room = int(result.counts.max(initial=0))
+    beyond = np.arange(room) >= result.counts[:, None]
+    pairs = result.ids[:, :room, :2].copy()
+    pairs[beyond] = NO_BODY
+    points = result.points[:, :room]
+    points[beyond] = np.nan
     return Motion(
         times=times,
         poses=result.poses,
         velocities=_calc_velocities(result, dts / np.diff(times)),
         tip=path.tip,
         contact_forces=result.forces[:, :room],
-        contact_points=result.points[:, :room],
+        contact_points=points,
         modes=result.modes[:, :room],
         gaps=result.finger_gaps,
         status=_find_status(result, int(contacts.lost[0])),
@@ -123,7 +124,7 @@ def simulate_together(
         tips=np.zeros((steps, n), dtype=bool),
         iterations=result.statuses[:, 1],
         physics=used,
-        contact_bodies=pairs[:, :room],
+        contact_bodies=pairs,
         contact_gaps=result.gaps[:, :room],
         residuals=result.residuals,
         yaw=None if push.yaw is None else path.yaw,
@@ -284,8 +285,9 @@ def _calc_velocities(result: SceneSteps, rates: Array) -> Array:
 def _find_status(result: SceneSteps, lost: int) -> MotionStatus:
     if (result.statuses[:, 0] != STEP_CONVERGED).any() or lost > 0:
         return MotionStatus.NOT_CONVERGED
-    with_finger = result.ids[:, :, 1] < 0
-    if not (result.modes[with_finger] != 0).any():
+    room = int(result.counts.max(initial=0))
+    with_finger = result.ids[:, :room, 1] < 0
+    if not (result.modes[:, :room][with_finger] != 0).any():
         return MotionStatus.NO_CONTACT
     if result.finger_gaps[0] < -OVERLAP_TOLERANCE:
         return MotionStatus.STARTED_OVERLAPPING

@@ -160,6 +160,21 @@ class BagImporter:
         },
     )
 
+    force_in_tip: bool = field(
+        default=False,
+        metadata={
+            "help": "The force is told in the axes of the tip's pose, as by a sensor on the wrist "
+            "(such as /netft_data beside /tip_pose), and turns with it."
+        },
+    )
+    sensor_yaw: float = field(
+        default=0.0,
+        metadata={
+            "help": "With --force-in-tip: how far the sensor's axes are turned about the tip's z "
+            "axis, rad."
+        },
+    )
+
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a bag: a file, or a ROS 2 bag's folder.
 
@@ -179,7 +194,7 @@ class BagImporter:
         tip = tracks["--tip-topic"]
         thing = tracks["--object-topic"]
         force = tracks.get("--force-topic")
-        for other in (tip, force):
+        for other in (tip, None if self.force_in_tip else force):
             if other is not None and thing.frame and other.frame and other.frame != thing.frame:
                 raise PushLogError(
                     f"{path}: {other.what} is in frame {other.frame!r}, {thing.what} in "
@@ -211,6 +226,8 @@ class BagImporter:
         warn_of_delay(path, chosen, offset=late - rest + self.tip_delay)
         if force is None:
             return found.log, self.obj
+        if self.force_in_tip:
+            force = turn_force(force, tip, self.sensor_yaw)
         values = -force.values if self.negate_force else force.values
         felt = (
             add_force(*each, force.t, values[:, :2])
@@ -226,6 +243,7 @@ class BagImporter:
             "rate": MAX_RATE,
             "table_height": MAX_NUMBER,
             "engaged_below": MAX_NUMBER,
+            "sensor_yaw": MAX_NUMBER,
         }
         for name, limit in limits.items():
             value = getattr(self, name)
@@ -316,6 +334,23 @@ def interpolate(track: Track, t: Array) -> Array:
     after = np.clip(np.searchsorted(track.t, t), 1, len(steps))
     gap = (steps[after - 1] > MAX_GAP * np.median(steps)) & (np.abs(track.t[after] - t) > 0)
     return np.where(gap[:, None], np.nan, np.hstack([values, turns]))
+
+
+def turn_force(force: Track, tip: Track, sensor_yaw: float) -> Track:
+    """Turns forces from the axes of a sensor on the tip to the frame of the tip's poses.
+
+    Args:
+        force: what the sensor tells.
+        tip: the tip's poses, by the same clock.
+        sensor_yaw: how far the sensor's axes are turned about the tip's z axis, rad.
+
+    Returns:
+        The forces at those times at which the tip was seen.
+    """
+    turns = interpolate(tip, force.t)[:, FORCE_SIZE:]
+    seen = np.isfinite(turns).all(axis=1)
+    turned = Rotation.from_quat(turns[seen]) * Rotation.from_rotvec([0.0, 0.0, sensor_yaw])
+    return force._replace(frame=tip.frame, t=force.t[seen], values=turned.apply(force.values[seen]))
 
 
 def _make_track(path: Path, messages: "list[_Message]", name: str) -> Track:

@@ -2,10 +2,12 @@
 
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gridpush_drake.errors import PushLogError, PushLogWarning
 from gridpush_drake.pushes.importers.bag import BagImporter, Track, _Bag, interpolate, make_stream
@@ -119,6 +121,37 @@ def test_forces_are_those_of_their_push(bags, obj):
         np.testing.assert_allclose(
             seen.force[:, 0], -seen.push.tip_at(seen.force_t)[:, 0], atol=2e-3
         )
+
+
+def test_a_long_bag_of_a_tracker_and_a_wrist_sensor_is_read(script, obj, tmp_path):
+    """A tracker's poses 100 times a second, and the force in the axes of a sensor on the tip."""
+    yaw = 0.8
+    thing, tip, _ = see(script)
+    at_table = np.array([3.0, -2.0])
+    towards = Rotation.from_euler("xyz", [3.1, 0.0, 0.5]) * Rotation.from_rotvec([0, 0, yaw])
+    in_sensor = towards.inv().apply([*at_table, 5.0])
+    force = sample_topic(script.samples, lambda seen: in_sensor, 100, 0.0, 0.0, 3)
+    path = write_bag(
+        tmp_path,
+        "bag",
+        [
+            replace(thing, name="/vicon/block/block"),
+            replace(tip, name="/tip_pose"),
+            Topic("/netft_data", "WrenchStamped", *force, frame="netft"),
+        ],
+    )
+    topics = {
+        "object_topic": "/vicon/block/block",
+        "tip_topic": "/tip_pose",
+        "force_topic": "/netft_data",
+    }
+    log = read(path, obj, **topics, force_in_tip=True, sensor_yaw=yaw)
+    assert len(log) == 4
+    for seen in log:
+        assert len(seen.force) == pytest.approx(100 * seen.push.duration, abs=3)
+        np.testing.assert_allclose(seen.force, np.tile(at_table, (len(seen.force), 1)), atol=1e-6)
+    with pytest.raises(PushLogError, match="/netft_data is in frame 'netft'"):
+        read(path, obj, **topics)
 
 
 def test_a_delay_is_found_taken_out_and_agreed_with(script, obj, tmp_path):
