@@ -245,11 +245,11 @@ def test_a_push_is_tracked_and_learned_from_by_the_camera_alone(renderer):
     assert (
         record.status == TaskStatus.FINISHED and len(record.log) == 1 and len(record.estimates) == 1
     )
-    sight = record.sight
-    assert sight.seen.mean() > 0.9
-    position, angle = sight.calc_rms()
+    view = record.camera_view
+    assert view.seen.mean() > 0.9
+    position, angle = view.calc_rms()
     assert position < 1e-3 and angle < np.radians(0.5)
-    assert (np.abs(sight.errors[sight.seen]) < 4 * sight.std[sight.seen] + 1e-9).mean() > 0.99
+    assert (np.abs(view.errors[view.seen]) < 4 * view.std[view.seen] + 1e-9).mean() > 0.99
     # the camera is told of pushes, for when the arm hides the object
     camera = task.station.GetSubsystemByName("camera")
     context = camera.GetMyContextFromRoot(task.simulator.get_context())
