@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp, softmax
+from scipy.special import logsumexp
 
 from gridpush_drake.errors import IdentificationError, ParameterError
 from gridpush_drake.geometry.se2 import Array
@@ -511,7 +511,7 @@ def _hold_center(obj: GridObject) -> CenterOfMass:
 
     That is the cells' centroid where no materials are told.
     """
-    x, y = softmax(calc_material_loads(obj)) @ obj.p_BC
+    x, y = np.average(obj.p_BC, axis=0, weights=np.exp(calc_material_loads(obj)))
     return CenterOfMass((x, y), CENTER_STD * obj.radius_of_gyration)
 
 
