@@ -108,9 +108,14 @@ def test_a_generated_outline_is_one_piece(kind):
 
 def test_tables():
     rendered = tabulate_rendered_photos(
-        [RenderedPhotoScore("reporting", [0.95, 0.5]), RenderedPhotoScore("reporting", [np.nan])]
+        [
+            RenderedPhotoScore("reporting", [0.95, 0.5], [0.85, 0.8]),
+            RenderedPhotoScore("reporting", [np.nan], [np.nan]),
+        ]
     )
-    assert rendered.rows[0] == pytest.approx(("reporting", 3, 1, 0.725, 100 / 3, 100 / 3))
+    assert rendered.rows[0] == pytest.approx(
+        ("reporting", 3, 1, 0.725, 100 / 3, 100 / 3, 1.0, 1, 0)
+    )
     hidden = tabulate_occlusions(
         [OcclusionScore("plate", True, 5, 1, 2, 0), OcclusionScore("square", True, 3, 0, 0, 1)]
     )

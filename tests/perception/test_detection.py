@@ -84,7 +84,10 @@ def test_a_part_of_the_table_s_color_that_is_hardly_higher_is_found_and_doubted(
     assert iou > 0.9
     assert found.doubtful
     # nobody need doubt an object that stands out
-    assert not detect([(whole, POSE, LOW, BROWN)], shade=0.0).doubtful
+    plain = detect([(whole, POSE, LOW, BROWN)], shade=0.0)
+    assert not plain.doubtful
+    # the doubt is graded
+    assert found.expected_iou < 0.9 < plain.expected_iou
 
 
 def test_a_part_that_hardly_differs_beside_one_that_does_is_kept():

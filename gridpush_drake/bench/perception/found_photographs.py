@@ -9,6 +9,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import spearmanr
 
 from gridpush_drake.bench.data.protocol import find_masks
 from gridpush_drake.bench.perception.rendered_photographs import HALF_NAMES, Half, take_photograph
@@ -25,6 +27,7 @@ from gridpush_drake.perception import (
     read_color,
     read_depth,
 )
+from gridpush_drake.perception.detection.expected_iou import DOUBTFUL_IOU
 from gridpush_drake.perception.detection.foreground import Cues
 from gridpush_drake.report.table import Table, Value
 from gridpush_drake.units import PERCENT_PER_ONE
@@ -35,6 +38,9 @@ GOOD_IOU = 0.9
 POOR_IOU = 0.8
 """Intersection over union below which an object counts as not found; without a refusal that is a
 silent failure."""
+
+WARNING_COLUMNS = ("rank correlation of the expected", "doubted for nothing", "wrongly trusted")
+"""Columns about the intersection over union that is expected."""
 
 CUE_NAMES: tuple[Cues, ...] = ("both", "color", "depth")
 """What is looked at in a photograph."""
@@ -86,10 +92,12 @@ class RenderedPhotoScore:
         half: "tuning" or "reporting".
         iou: intersection over union of each mask with the true one; NaN where no object was found
             and the detector says so.
+        expected: the intersection over union that the detector expected of each.
     """
 
     half: Half
     iou: list[float]
+    expected: list[float]
 
 
 @dataclass(frozen=True)
@@ -146,15 +154,18 @@ def run_photo(job: PhotoJob) -> PhotoScore:
 def run_rendered_photo(job: RenderedPhotoJob) -> RenderedPhotoScore:
     """Renders photographs of generated objects and finds them."""
     iou = []
+    expected = []
     for number in range(job.first, job.first + job.count):
         photo = take_photograph(job.half, number)
         try:
-            mask = detect_object(photo.frame.color, photo.frame.depth, photo.camera).mask
+            found = detect_object(photo.frame.color, photo.frame.depth, photo.camera)
         except PerceptionError:
             iou.append(float("nan"))
+            expected.append(float("nan"))
             continue
-        iou.append(float((mask & photo.mask).sum() / (mask | photo.mask).sum()))
-    return RenderedPhotoScore(job.half, iou)
+        iou.append(float((found.mask & photo.mask).sum() / (found.mask | photo.mask).sum()))
+        expected.append(found.expected_iou)
+    return RenderedPhotoScore(job.half, iou, expected)
 
 
 def tabulate_photos(scores: Sequence[PhotoScore]) -> Table:
@@ -174,6 +185,9 @@ def tabulate_rendered_photos(scores: Sequence[RenderedPhotoScore]) -> Table:
     rows: list[tuple[Value, ...]] = []
     for half in HALF_NAMES:
         iou = np.concatenate([score.iou for score in scores if score.half == half] or [[]])
+        expected = np.concatenate(
+            [score.expected for score in scores if score.half == half] or [[]]
+        )
         found = iou[np.isfinite(iou)]
         if not len(found):
             continue
@@ -185,6 +199,7 @@ def tabulate_rendered_photos(scores: Sequence[RenderedPhotoScore]) -> Table:
                 float(found.mean()),
                 PERCENT_PER_ONE * float((found >= GOOD_IOU).sum() / len(iou)),
                 PERCENT_PER_ONE * float((found < POOR_IOU).sum() / len(iou)),
+                *_count_warnings(iou, expected),
             )
         )
     columns = (
@@ -194,6 +209,7 @@ def tabulate_rendered_photos(scores: Sequence[RenderedPhotoScore]) -> Table:
         "mean of those found",
         f"at least {GOOD_IOU}, %",
         f"below {POOR_IOU}, %",
+        *WARNING_COLUMNS,
     )
     notes = [
         "Generated outlines of several materials on gray, white, wooden and patterned tables, with "
@@ -201,3 +217,21 @@ def tabulate_rendered_photos(scores: Sequence[RenderedPhotoScore]) -> Table:
         "Intersection over union with the true mask; below: found wrongly, without a refusal.",
     ]
     return Table("The object's mask in rendered photographs", columns, rows, notes)
+
+
+def _count_warnings(iou: ArrayLike, expected: ArrayLike) -> tuple[Value, ...]:
+    """Counts how well the expected intersection over union tells the true one.
+
+    Returns:
+        Their rank correlation, and the numbers of good outlines that were doubted and of others
+        that were not.
+    """
+    true = np.asarray(iou, dtype=np.float64)
+    said = np.asarray(expected, dtype=np.float64)
+    found = np.isfinite(true) & np.isfinite(said)
+    true = true[found]
+    said = said[found]
+    rank = float(spearmanr(true, said)[0]) if len(true) > 1 else np.nan
+    good = true >= GOOD_IOU
+    trusted = said >= DOUBTFUL_IOU
+    return rank, int((good & ~trusted).sum()), int((~good & trusted).sum())

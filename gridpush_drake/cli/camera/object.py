@@ -38,6 +38,7 @@ from gridpush_drake.perception import (
     solve_tag_to_body,
     write_picture,
 )
+from gridpush_drake.perception.detection.expected_iou import DOUBTFUL_IOU
 from gridpush_drake.perception.detection.foreground import MAX_CONTRADICTION
 from gridpush_drake.perception.images.frames import Color, Depth, read_any_color
 from gridpush_drake.units import CM2_PER_M2, MM_PER_M
@@ -266,10 +267,11 @@ def make_object(
             ObjectWarning,
             stacklevel=2,
         )
-    if found.doubtful:
+    if found.expected_iou < DOUBTFUL_IOU:
         warn(
-            f"{photo}: parts of the object hardly stand out from the table, and its outline may be "
-            f"wrong; --picture shows what was found{DETECTION_HINTS}",
+            f"{photo}: the outline is expected to share only {found.expected_iou:.0%} of its area "
+            "with the true one (intersection over union), for the object hardly stands out from "
+            f"the table in parts; --picture shows what was found{DETECTION_HINTS}",
             ObjectWarning,
             stacklevel=2,
         )
@@ -380,10 +382,11 @@ def _make_all(
 
 def _warn_of(photo: Path, number: int, found: DetectedObject) -> None:
     """Warns where one of several objects is doubtful."""
-    if found.doubtful:
+    if found.expected_iou < DOUBTFUL_IOU:
         warn(
             f"{photo}: object {number} hardly stands out from the table in parts, and its outline "
-            "may be wrong; --picture shows what was found",
+            f"is expected to share only {found.expected_iou:.0%} of its area with the true one; "
+            "--picture shows what was found",
             ObjectWarning,
             stacklevel=4,
         )
@@ -425,6 +428,7 @@ class _WrittenObject(NamedTuple):
             "cells": self.obj.n,
             "height": self.obj.height,
             "area": self.found.outline.area,
+            "expected_iou": self.found.expected_iou,
             "pixel": self.pixel,
             "pose": list(map(float, self.found.X_WB)),
             "written": str(self.path),

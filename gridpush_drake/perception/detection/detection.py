@@ -29,6 +29,7 @@ from gridpush_drake.geometry.contour import calc_contour
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.perception.detection.expected_iou import expect_iou
 from gridpush_drake.perception.detection.foreground import (
     Cues,
     Foreground,
@@ -115,6 +116,8 @@ class DetectedObject:
         doubtful: whether parts of the object hardly stand out from the table, so that its outline
             may be wrong; see `joint_foreground`.
         crowded: whether it may be two objects that touch; only `detect_objects` looks for that.
+        expected_iou: expected intersection over union of the mask with the true one, 0 to 1; 1
+            where somebody has drawn the mask.
     """
 
     outline: Polygon
@@ -128,6 +131,7 @@ class DetectedObject:
     contradiction: float = 0.0
     doubtful: bool = False
     crowded: bool = False
+    expected_iou: float = 1.0
 
     @property
     def close_up(self) -> Color:
@@ -305,6 +309,7 @@ def measure_object(
     contradiction = 0.0
     if options.cues == "both":
         contradiction = calc_contradiction(mask, seen.found, seen.plane)
+    drawn = options.hint is not None and options.hint.mask is not None
     return DetectedObject(
         outline=outline,
         mask=mask,
@@ -317,6 +322,7 @@ def measure_object(
         contradiction=contradiction,
         doubtful=doubtful,
         crowded=crowded,
+        expected_iou=1.0 if drawn else expect_iou(mask, seen.found),
     )
 
 

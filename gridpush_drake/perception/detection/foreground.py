@@ -326,7 +326,7 @@ def score_pixels(
         heights = (HEIGHT_SAYS / MAX_HEIGHT_SCORE) * says
         if cues == "both":
             # Depth images miss edges by some pixels, and color does not.
-            band = dilate(high, EDGE_BAND) & ~_erode(high, EDGE_BAND)
+            band = dilate(high, EDGE_BAND) & ~erode(high, EDGE_BAND)
             says = np.where(band, EDGE_WEIGHT * says, says)
         score = score + says
 
@@ -402,7 +402,7 @@ def refine_boundary(
     table = shown & ~mask
     for _ in range(BOUNDARY_ROUNDS):
         # c_o and c_t: mean colors nearby, of what is surely object and surely table.
-        certain_object = _erode(mask, MEAN_GAP) & shown
+        certain_object = erode(mask, MEAN_GAP) & shown
         certain_table = ~dilate(mask, MEAN_GAP) & shown
         inside, outside = sum_blocks(colors, certain_object, certain_table)
         inside = blur(inside, INSIDE_RADIUS / BLOCK_SIZE)
@@ -411,7 +411,7 @@ def refine_boundary(
         # How far each color is on the way from c_t to c_o; the boundary is at level 0. Far from the
         # boundary before, nothing changes sides.
         width = 2 * BOUNDARY_BAND + 1
-        band = dilate(mask, width) & ~_erode(mask, width)
+        band = dilate(mask, width) & ~erode(mask, width)
         about = cv2.dilate(band.view(np.uint8), BLUR_KERNEL)
         along = np.zeros(mask.shape, dtype=np.float32)
         calc_levels(colors, inside, outside, about, COLOR_LEVEL, along)
@@ -510,7 +510,7 @@ def remove_thin(mask: Mask) -> Mask:
     return _morph(mask, cv2.MORPH_OPEN, OPENING_SIZE)
 
 
-def _erode(mask: Mask, width: int) -> Mask:
+def erode(mask: Mask, width: int) -> Mask:
     """Narrows a mask by half of `width` pixels all around."""
     return _morph(mask, cv2.MORPH_ERODE, width)
 
