@@ -382,7 +382,7 @@ def _make_all(
 
 def _warn_of(photo: Path, number: int, found: DetectedObject) -> None:
     """Warns where one of several objects is doubtful."""
-    if found.expected_iou < DOUBTFUL_IOU:
+    if found.doubtful or found.expected_iou < DOUBTFUL_IOU:
         warn(
             f"{photo}: object {number} hardly stands out from the table in parts, and its outline "
             f"is expected to share only {found.expected_iou:.0%} of its area with the true one; "
