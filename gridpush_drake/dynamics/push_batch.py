@@ -166,7 +166,7 @@ class PushBatch:
         touched = np.empty(len(self), dtype=np.bool_)
         for group in self._groups:
             poses[group.rows], touched[group.chosen] = self._run(group, params, np.empty((0, 3, 0)))
-        for one, steps, _ in self._run_shaped(params, 0):
+        for one, steps, _ in self._run_shaped(params, differentiate=False):
             poses[one.rows] = steps.poses[one.wanted, 0]
             unsolved = (steps.statuses[:, 0] != STEP_CONVERGED).any()
             touched[one.place] = unsolved or steps.modes.any()
@@ -220,8 +220,7 @@ class PushBatch:
         # the kernel's first columns: the cells' loads, the contact friction, and the start; and its
         # last ones: the object's first pose
         by_mass = params.friction * self.physics.gravity
-        width = count_scene_columns(Bodies(self.obj, params, self.physics))
-        for one, steps, J in self._run_shaped(params, width):
+        for one, steps, J in self._run_shaped(params, differentiate=True):
             poses[one.rows] = steps.poses[one.wanted, 0]
             own = J[one.row_of_step[one.wanted], 0]
             derivatives[one.rows, :, :n] = own[..., :n] * by_mass
@@ -230,19 +229,20 @@ class PushBatch:
         return poses, derivatives
 
     def _run_shaped(
-        self, params: CellParameters, width: int
+        self, params: CellParameters, *, differentiate: bool
     ) -> Iterator[tuple[_ShapedPush, SceneSteps, Array]]:
         """Simulates the pushes by other shapes; yields each with its steps and its J (R, 1, 3, w).
 
         Args:
             params: the cells' parameters.
-            width: number of the kernel's columns of derivatives; none is wanted where it is 0.
+            differentiate: whether the kernel's derivatives are wanted; w is 0 where not.
         """
         if not self._shaped:
             return
         bodies = Bodies(self.obj, params, self.physics)
         check_shaped_push(bodies)
         arrays = make_bodies(bodies)
+        width = count_scene_columns(bodies) if differentiate else 0
         for one in self._shaped:
             J = np.empty((len(one.rows), 1, 3, width))
             steps = run_scene_kernel(

@@ -29,7 +29,6 @@ class Spread:
         name: name of the push.
         std: (3,) standard deviations of the cells' centroid, x and y, m, world frame, and of theta,
             rad.
-        cell_error: m; with probability INTERVAL_PROBABILITY the cell error is below it.
         covariance: (3, 3) of the centroid's place and of the turn at the radius of gyration, m², of
             a typical push.
         freedom: degrees of freedom of the Student's t distribution of these three.
@@ -37,9 +36,13 @@ class Spread:
 
     name: str
     std: Array
-    cell_error: float
     covariance: Array
     freedom: float
+
+    @property
+    def cell_error(self) -> float:
+        """With probability INTERVAL_PROBABILITY the cell error is below it, m."""
+        return calc_norm_quantile(self.covariance, self.freedom, INTERVAL_PROBABILITY)
 
     def calc_probability(self, cell_error: float) -> float:
         """Calculates the probability of a cell error, root mean square, below one, m.
@@ -101,20 +104,14 @@ def predict_spread(
     linear = problem.linearize(model.posterior.mean)
 
     pushes = len(model.push_names)
+    freedom = model.noise.calc_freedom(pushes)
     found = []
     for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):
         covariance = calc_end_covariance(model, J, inputs)
         # The third residual is rho dtheta.
         std = np.sqrt(np.diag(covariance)) / (1.0, 1.0, obj.radius_of_gyration)
-        cell_error = calc_end_quantile(model, covariance, INTERVAL_PROBABILITY)
-        spread = Spread(
-            name=seen.name,
-            std=std,
-            cell_error=cell_error,
-            covariance=model.noise.calc_typical_fraction(pushes) * covariance,
-            freedom=model.noise.calc_freedom(pushes),
-        )
-        found.append(spread)
+        typical = model.noise.calc_typical_fraction(pushes) * covariance
+        found.append(Spread(name=seen.name, std=std, covariance=typical, freedom=freedom))
     return found
 
 

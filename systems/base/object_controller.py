@@ -12,15 +12,23 @@ from typing import Any, Generic, TypeVar
 
 from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    EventStatus,
+    InputPort,
+    LeafSystem,
+    State,
+)
 
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.closed_loop import FAILED_MODE, ClosedLoop, LoopStateType, Observation
-from gridpush_drake.planning.robot_status import PushStatus
+from gridpush_drake.planning.robot_status import GraspStatus, PushStatus
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.systems.base.messages import GRASP_COMMAND_SIZE, GraspCommand
 from gridpush_drake.systems.base.worker import Worker, make_worker
 
 StateType = TypeVar("StateType")
@@ -135,6 +143,20 @@ class LoopController(AbstractStateSystem[LoopStateType]):
         self._worker = make_worker(answer_delay)
         self.loop = loop
         self._declare_value("status", lambda now: now.status)
+
+    def _declare_grasp(self, grasp_height: float, lift: float) -> InputPort:
+        """Declares the ports of a loop that grasps, and returns that of the executor's status.
+
+        Args:
+            grasp_height: height of the grasp above the table, m.
+            lift: height to which the object is lifted, m.
+        """
+
+        def show(now: Any) -> ArrayLike:
+            return GraspCommand.from_grasp(now.grasp_id, now.grasp, grasp_height, lift).to_vector()
+
+        self._declare_vector("grasp_command", GRASP_COMMAND_SIZE, show)
+        return self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
 
     def _observe(self, context: Context) -> Observation:
         """Returns what is on the input ports."""

@@ -18,11 +18,8 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     PreGraspState,
 )
 from gridpush_drake.systems.base.messages import (
-    GRASP_COMMAND_SIZE,
     PRESS_COMMAND_SIZE,
     PUSH_COMMAND_SIZE,
-    GraspCommand,
-    GraspStatus,
     PressCommand,
     PressStatus,
     PushCommand,
@@ -99,21 +96,12 @@ class PreGraspController(ObjectController[PreGraspState]):
         super().__init__(
             planner.obj, PreGraspLoop(planner, find_grasp, seed=seed, options=options), answer_delay
         )
-        self._grasp_status = self.DeclareAbstractInputPort(
-            "grasp_status", AbstractValue.Make(GraspStatus())
-        )
         self._declare_vector(
             "push_command",
             PUSH_COMMAND_SIZE,
             lambda now: PushCommand.from_push(now.push_id, now.shown_push).to_vector(),
         )
-        self._declare_vector(
-            "grasp_command",
-            GRASP_COMMAND_SIZE,
-            lambda now: GraspCommand.from_grasp(
-                now.grasp_id, now.grasp, grasp_height, lift
-            ).to_vector(),
-        )
+        self._grasp_status = self._declare_grasp(grasp_height, lift)
         self._press_status = None
         if weighs:
             self._press_status = self.DeclareAbstractInputPort(

@@ -15,9 +15,7 @@ from gridpush_drake.planning.robot_status import GraspStatus, PushStatus
 from gridpush_drake.planning.scene.joint_loop import JointLoop, JointState
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.base.messages import (
-    GRASP_COMMAND_SIZE,
     PUSH_COMMAND_SIZE,
-    GraspCommand,
     PushCommand,
 )
 from gridpush_drake.systems.base.object_controller import LoopController
@@ -105,16 +103,7 @@ class SceneController(LoopController[JointState]):
         )
         self._grasp_status = None
         if loop.find_grasp is not None:
-            self._grasp_status = self.DeclareAbstractInputPort(
-                "grasp_status", AbstractValue.Make(GraspStatus())
-            )
-            self._declare_vector(
-                "grasp_command",
-                GRASP_COMMAND_SIZE,
-                lambda now: GraspCommand.from_grasp(
-                    now.grasp_id, now.grasp, grasp_height, lift
-                ).to_vector(),
-            )
+            self._grasp_status = self._declare_grasp(grasp_height, lift)
 
         self._declare_estimates(loop)
 

@@ -229,7 +229,8 @@ def test_runs_from_one_start_are_held_out_and_predicted_to_their_end(tmp_path):
     place = tables[1].columns.index("end, mm")
     # as the camera tells them, whose frame is off, the ends are predicted worse
     raw = [
-        calc_run_score(find_run_end(Model(known.obj), run), run).position for run in known.runs[:2]
+        calc_run_score(known.obj, find_run_end(Model(known.obj), run), run).position
+        for run in known.runs[:2]
     ]
     assert runs[EVEN_MODEL, 0][place].mean < 0.7e3 * np.mean(raw)
     assert runs[STILL_MODEL, 0][place].mean > 20

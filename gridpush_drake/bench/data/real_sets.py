@@ -28,7 +28,6 @@ from gridpush_drake.bench.data.real_logs import (
     simulate_log,
 )
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import PushLogError
 from gridpush_drake.geometry.se2 import Array, compose, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.csv_table import fail, read_number, read_table
@@ -227,9 +226,7 @@ def simulate_set(path: Path, seed: int, number: int) -> RealSet:
 
 def _read_two_point(path: Path) -> RealSet:
     """Reads two-point pushes; equal actions are a group."""
-    logged = [push for push in read_two_point(path) if push.usable]
-    if not logged:
-        raise PushLogError(f"{path}: no push can be used; expected a 1 at the end of a head")
+    logged = read_two_point(path)
     pushes = [observe_two_point(push, f"push_{i}") for i, push in enumerate(logged, start=1)]
     actions = np.array([push.command[: len(ACTION_TOLERANCE)] for push in logged])
     actions /= ACTION_TOLERANCE

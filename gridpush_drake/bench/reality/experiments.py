@@ -70,12 +70,13 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.prediction import predict
+from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.spread import predict_spread
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.planning.stable.stable_push import Slip, calc_push_stability, calc_slip
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -215,7 +216,7 @@ def run_job(job: RealityJob) -> list[RealityScore]:
         )
 
     still = score(STILL_MODEL, 0, LCP_ENGINE, [seen.pose for seen in test])
-    ends = [calc_run_score(run.pose, run) for run in test_runs]
+    ends = [calc_run_score(known.obj, run.pose, run) for run in test_runs]
     scores = [replace(still, runs=tuple(ends))]
     for name, count, model in believed:
         for engine in job.engines:
@@ -226,7 +227,10 @@ def run_job(job: RealityJob) -> list[RealityScore]:
                     one,
                     ranks=tuple(calc_ranks(model, test, found_ends)),
                     slips=tuple(judge_slips(known, division.test, model, found_ends)),
-                    runs=tuple(calc_run_score(find_run_end(model, run), run) for run in test_runs),
+                    runs=tuple(
+                        calc_run_score(known.obj, find_run_end(model, run), run)
+                        for run in test_runs
+                    ),
                 )
             scores.append(one)
     return scores
@@ -340,10 +344,10 @@ def find_run_end(model: Model, run: LiftedRun) -> Array:
     return pose
 
 
-def calc_run_score(end: Array, run: LiftedRun) -> RunScore:
+def calc_run_score(obj: GridObject, end: Array, run: LiftedRun) -> RunScore:
     """Compares a predicted end (3,) of a run with the one that was seen."""
-    dx, dy, turn = end - run.end
-    return RunScore(position=float(np.hypot(dx, dy)), angle=abs(float(wrap_angle(turn))))
+    off = calc_pose_error(obj, end, run.end)
+    return RunScore(position=off.position, angle=off.angle)
 
 
 def tabulate(options: RealityBenchOptions, done: Done) -> list[Table]:

@@ -26,7 +26,6 @@ from gridpush_drake.bench.steering.runs import (
     Followed,
     PathLearner,
     TimedFollower,
-    measure_off,
     place_finger,
 )
 from gridpush_drake.bench.steering.worlds import POSE_SENSOR, STEERED_FINGER, put_body
@@ -41,6 +40,7 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import calc_goal_offset
 from gridpush_drake.planning.feedback.follow_log import FollowLog
 from gridpush_drake.planning.feedback.follow_options import FollowOptions
 from gridpush_drake.planning.feedback.steered_finger import FollowRun, follow
@@ -229,8 +229,8 @@ def _judge(
     job: SessionJob, obj: GridObject, run: FollowRun, goal: Array, decision: float
 ) -> Followed:
     """Judges an episode by where the object truly is at its end, and how fast."""
-    distance, turn = measure_off(obj, run.poses[-1], goal)
-    step, _ = measure_off(obj, run.poses[-1], run.poses[-2])
+    distance, turn = calc_goal_offset(obj, run.poses[-1], goal)
+    step, _ = calc_goal_offset(obj, run.poses[-1], run.poses[-2])
     at_rest = step < GOAL_SPEED * POSE_SENSOR.period
     return Followed(
         kind=job.kind,

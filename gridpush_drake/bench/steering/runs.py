@@ -30,11 +30,11 @@ from gridpush_drake.bench.steering.worlds import (
     make_case,
 )
 from gridpush_drake.dynamics.pusher import Pusher
-from gridpush_drake.geometry.se2 import Array, make_direction, transform, wrap_angle
+from gridpush_drake.geometry.se2 import Array, make_direction, transform
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_offset
 from gridpush_drake.planning.feedback.follow_options import (
     FollowDecision,
     FollowOptions,
@@ -371,13 +371,6 @@ def measure_strokes(run: PushRun, tip: Array) -> float:
     return time - (segments[-1].duration if run.steps else 0.0)
 
 
-def measure_off(obj: GridObject, pose: Array, goal: Array) -> tuple[float, float]:
-    """Distance of the cells' centroids, m, and the turn, rad, between two poses (3,)."""
-    middle = obj.p_BC.mean(axis=0)[None]
-    distance = np.linalg.norm(transform(pose, middle) - transform(goal, middle))
-    return float(distance), abs(float(wrap_angle(pose[2] - goal[2])))
-
-
 def make_result(
     job: FeedbackJob,
     obj: GridObject,
@@ -391,7 +384,7 @@ def make_result(
     rms: float = np.nan,
 ) -> Followed:
     """Makes the result of a run that ended with the object at a pose (3,)."""
-    distance, turn = measure_off(obj, pose, goal)
+    distance, turn = calc_goal_offset(obj, pose, goal)
     return Followed(
         kind=job.kind,
         world=job.world,

@@ -34,7 +34,7 @@ from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER, Pusher
 from gridpush_drake.dynamics.simulation import PushSteps, check_friction, simulate_steps
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, transform, wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.contact_kernels import (
@@ -97,6 +97,13 @@ def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
         errors=errors.reshape(-1),
     )
     return errors
+
+
+def calc_goal_offset(obj: GridObject, pose: Array, goal: Array) -> tuple[float, float]:
+    """Distance of the cells' centroids, m, and the turn, rad, between two poses (3,)."""
+    middle = obj.p_BC.mean(axis=0)[None]
+    distance = np.linalg.norm(transform(pose, middle) - transform(goal, middle))
+    return float(distance), abs(float(wrap_angle(pose[2] - goal[2])))
 
 
 RECORD_EVERY = 4

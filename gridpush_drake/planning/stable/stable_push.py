@@ -40,11 +40,11 @@ from gridpush_drake.geometry.se2 import (
     invert,
     rotate,
     transform,
-    wrap_angle,
 )
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import calc_goal_offset
 
 CONTACT_TOLERANCE = 0.002
 """Gap up to which a part of the pusher counts as touching, m: the object first comes to lie flush
@@ -402,9 +402,7 @@ def calc_slip(
     contacts = _require_contacts(obj, shape, X_BT, tolerance)
     held = compose(X_WT[-1], invert(calc_flush_pose(contacts, X_BT)))
     reached = check_vector(PlanningError, "end", end, 3)
-    centroid = obj.p_BC.mean(axis=0)[None]
-    shift = transform(reached, centroid) - transform(held, centroid)
-    return Slip(float(np.linalg.norm(shift)), abs(float(wrap_angle(reached[2] - held[2]))))
+    return Slip(*calc_goal_offset(obj, reached, held))
 
 
 def _take_frames(push: Push, pose: ArrayLike) -> tuple[PusherShape, Array, Array]:

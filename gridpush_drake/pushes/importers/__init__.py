@@ -53,6 +53,14 @@ class Importer(Protocol):
         ...
 
 
+OBJECT_OPTION = {
+    "help": "The object that was pushed: an object file whose frame is that of the logged pose, or "
+    "a shipped object's name. It has to be given.",
+    "name": "--object",
+}
+"""The option of the object, of importers whose files say nothing of it."""
+
+
 def require_object(path: Path, obj: GridObject | None) -> GridObject:
     """The object that was pushed. Raises PushLogError where --object was not given."""
     if obj is None:

@@ -75,7 +75,7 @@ def find_camera_frame(obj: GridObject, pushes: Iterable[ObservedPush]) -> Array:
 
 def place_in_robot_frame(seen: ObservedPush, X_RC: Array) -> ObservedPush:
     """Moves the poses of a push from the camera's frame to the robot's, where the pusher is."""
-    poses = np.array([compose(X_RC, pose) for pose in seen.poses_observed])
+    poses = compose(X_RC, seen.poses_observed)
     return replace(seen, pose=compose(X_RC, seen.pose), poses_observed=poses)
 
 

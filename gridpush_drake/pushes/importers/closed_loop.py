@@ -33,7 +33,7 @@ from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.notebook import count
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.importers import require_object
+from gridpush_drake.pushes.importers import OBJECT_OPTION, require_object
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import name_push
@@ -93,14 +93,7 @@ class ClosedLoopImporter:
     source: ClassVar[str] = "JSON with q_sliderJSON, q_pusher_sensedJSON and timeJSON"
     example: ClassVar[str] = "--object block.yaml"
 
-    obj: GridObject | None = field(
-        default=None,
-        metadata={
-            "help": "The object that was pushed: an object file whose frame is that of the logged "
-            "pose, or a shipped object's name. It has to be given.",
-            "name": "--object",
-        },
-    )
+    obj: GridObject | None = field(default=None, metadata=OBJECT_OPTION)
     window: float = field(
         default=1.0,
         metadata={"help": "Length of the windows into which the run is cut, s."},

@@ -16,7 +16,7 @@ mm, times in s (absolute), forces in N and in the sensor's frame.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -52,6 +52,10 @@ MAX_DIGITS = 9
 """Largest number of digits of a count."""
 
 
+PushType = TypeVar("PushType")
+"""A push as a file of some kind has it."""
+
+
 class CmuPush(NamedTuple):
     """One push as logged.
 
@@ -75,10 +79,7 @@ def read_cmu(path: Path) -> list[CmuPush]:
         PushLogError: the file cannot be read, is cut short, goes on after its last push, or a line
             is not what it should be; the message names the file, the line and the expected form.
     """
-    lines = FileLines(path, "a file of the CMU pushes")
-    pushes = [_read_push(lines, i) for i in range(lines.count("the number of pushes"))]
-    lines.expect_end()
-    return pushes
+    return FileLines(path, "a file of the CMU pushes").take_pushes(_read_push)
 
 
 def _read_push(lines: "FileLines", i: int) -> CmuPush:
@@ -147,10 +148,12 @@ class FileLines:
                 self._fail(number, words, f"{what} with a quaternion of length 1")
         return table
 
-    def expect_end(self) -> None:
-        """Refuses lines that are left."""
+    def take_pushes(self, take: Callable[["FileLines", int], PushType]) -> list[PushType]:
+        """Takes the whole file: the number of pushes, and each of them by its number from 0."""
+        pushes = [take(self, i) for i in range(self.count("the number of pushes"))]
         if self._next < len(self._lines):
             self._fail(*self._lines[self._next], "the file's end after its last push")
+        return pushes
 
     def _take(self, what: str) -> tuple[int, list[str]]:
         """Takes the next line: its number and its words."""

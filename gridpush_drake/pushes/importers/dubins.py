@@ -23,7 +23,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.csv_table import fail, is_empty, read_number, read_table
-from gridpush_drake.pushes.importers import require_object
+from gridpush_drake.pushes.importers import OBJECT_OPTION, require_object
 from gridpush_drake.pushes.importers.camera_frame import find_camera_frame, place_in_robot_frame
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 from gridpush_drake.pushes.push_log import PushLog
@@ -96,14 +96,7 @@ class DubinsImporter:
     source: ClassVar[str] = "runs of a two-fingered pusher as one table, a row an observation"
     example: ClassVar[str] = "--object block.yaml"
 
-    obj: GridObject | None = field(
-        default=None,
-        metadata={
-            "help": "The object that was pushed: an object file whose frame is that of the logged "
-            "pose, or a shipped object's name. It has to be given.",
-            "name": "--object",
-        },
-    )
+    obj: GridObject | None = field(default=None, metadata=OBJECT_OPTION)
     finger_radius: float = field(
         default=0.0025, metadata={"help": "Radius of each of the two fingers, m."}
     )

@@ -80,15 +80,17 @@ class TwoPointPush(NamedTuple):
 
 
 def read_two_point(path: Path) -> list[TwoPointPush]:
-    """Reads every push of a file, in its order.
+    """Reads every push of a file that can be used, in its order.
 
     Raises:
-        PushLogError: the file cannot be read, is cut short, goes on after its last push, or a line
-            is not what it should be; the message names the file, the line and the expected form.
+        PushLogError: the file cannot be read, is cut short, goes on after its last push, a line is
+            not what it should be, or no push can be used; the message names the file, and the line
+            with its expected form.
     """
     lines = FileLines(path, "a file of the CMU two-point pushes")
-    pushes = [_read_push(lines, i) for i in range(lines.count("the number of pushes"))]
-    lines.expect_end()
+    pushes = [push for push in lines.take_pushes(_read_push) if push.usable]
+    if not pushes:
+        raise PushLogError(f"{path}: no push can be used; expected a 1 at the end of a head")
     return pushes
 
 
@@ -137,9 +139,7 @@ class TwoPointImporter(TriangleBlockImporter):
             PushLogError: the file cannot be read or is not of the format, or no push can be used.
         """
         path = Path(path)
-        logged = [push for push in read_two_point(path) if push.usable]
-        if not logged:
-            raise PushLogError(f"{path}: no push can be used; expected a 1 at the end of a head")
+        logged = read_two_point(path)
         names = [push.name for push in logged]
         return self.collect(path, names, lambda i, name: observe_two_point(logged[i], name))
 
