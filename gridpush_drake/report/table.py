@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rich.table
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.cells import cell_len
 from rich.text import Text
-from scipy.stats import binomtest, bootstrap
 
 from gridpush_drake.errors import OutputError
 from gridpush_drake.files import check_writable, write_whole
@@ -252,6 +250,8 @@ def calc_interval(values: Sequence[float], scale: float = 1.0) -> Mean:
     Returns:
         The mean, with a bootstrap interval by percentiles where some values differ.
     """
+    from scipy.stats import bootstrap  # only where it is used: it takes long to import
+
     sample = scale * np.asarray(values, dtype=np.float64)
     if np.ptp(sample) == 0:
         return Mean(float(sample.mean()))
@@ -285,6 +285,8 @@ class Proportion:
     @classmethod
     def of(cls, count: int, total: int) -> "Proportion":
         """Calculates the interval of a fraction; `total` is 1 or more."""
+        from scipy.stats import binomtest  # only where it is used: it takes long to import
+
         interval = binomtest(count, total).proportion_ci(INTERVAL_CONFIDENCE, method="wilson")
         return cls(count, total, float(interval.low), float(interval.high))
 
@@ -385,6 +387,8 @@ def write_panels(
     Raises:
         OutputError: as `check_figure`.
     """
+    from matplotlib.figure import Figure  # only where it is drawn: it takes long to import
+
     rows = -(-len(titles) // columns)
     figure = Figure(
         figsize=(PANEL_SIZE[0] * columns, PANEL_SIZE[1] * rows + LEGEND_HEIGHT),

@@ -16,8 +16,6 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-from gridpush_drake.report.draw import to_png
-from gridpush_drake.report.figures import draw_motion
 from gridpush_drake.units import MM_PER_M
 
 PUSH_NAME = "push_1"
@@ -113,6 +111,10 @@ def simulate(
             )
             PushLog((seen,)).write_csv(out, force)
         if picture is not None:
+            # only where it is drawn: Matplotlib takes long to import
+            from gridpush_drake.report.draw import to_png
+            from gridpush_drake.report.figures import draw_motion
+
             write_whole(picture, to_png(draw_motion(loaded.obj, push, motion.poses)), force)
     first = motion.poses[0]
     last = motion.final_pose

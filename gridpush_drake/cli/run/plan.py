@@ -22,8 +22,6 @@ from gridpush_drake.planning.goal.push_plan import (
     write_plan,
 )
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.report.draw import to_png
-from gridpush_drake.report.plan_figures import draw_plan
 from gridpush_drake.units import MM_PER_M
 
 
@@ -134,6 +132,10 @@ def plan(
         if out is not None:
             write_plan(out, found, target.obj.name, radius, force)
         if picture is not None:
+            # only where it is drawn: Matplotlib takes long to import
+            from gridpush_drake.report.draw import to_png
+            from gridpush_drake.report.plan_figures import draw_plan
+
             write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
     written = [str(path) for path in (out, picture) if path is not None]
     document = {**describe_plan(found, target.obj.name, radius), "written": written}

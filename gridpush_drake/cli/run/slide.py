@@ -29,8 +29,6 @@ from gridpush_drake.planning.pregrasp.pregrasp_plan import (
 )
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.report.draw import to_png
-from gridpush_drake.report.plan_figures import draw_slide
 from gridpush_drake.units import MM_PER_M
 from gridpush_drake.yaml_file import dump_yaml
 
@@ -171,6 +169,10 @@ def slide(
         if out is not None:
             write_whole(out, _to_text(found, out), force)
         if picture is not None:
+            # only where it is drawn: Matplotlib takes long to import
+            from gridpush_drake.report.draw import to_png
+            from gridpush_drake.report.plan_figures import draw_slide
+
             write_whole(picture, to_png(draw_slide(planner, uncertain.masses, plan)), force)
     print_found(found, [*_explain(found), *options.describe_written(out, picture)], json)
     if plan.status != PreGraspPlanStatus.READY:
