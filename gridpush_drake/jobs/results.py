@@ -15,6 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from gridpush_drake.errors import GridPushError, OutputError
@@ -107,12 +108,14 @@ class Results:
         self.lines.pop(make_key(job), None)
 
     def append(self, function: Callable[[Any], Result], job: Any, result: Result) -> None:
-        """Writes a function's result of a job at once.
+        """Writes a function's result of a job at once, NumPy's numbers as Python's.
 
         Raises:
             OutputError: the file cannot be written.
         """
-        plain = _find_adapter(function).dump_python(result, mode="json")
+        plain = _find_adapter(function).dump_python(
+            result, mode="json", warnings=False, fallback=np.generic.item
+        )
         key = make_key(job)
         line = {"job": json.loads(key), "result": plain} | self._stamp
         self.stamps[key] = self._stamp

@@ -9,6 +9,7 @@ from math import isnan, nan
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gridpush_drake.errors import GridPushError, OutputError
@@ -148,6 +149,18 @@ def test_finished_jobs_are_not_run_again(tmp_path):
     assert len(prepared) == 3
     run_jobs(double, jobs[1:], describe, execution())
     assert len(prepared) == 3
+
+
+def measure_with_numpy(job: Job) -> tuple[bool, int, float]:
+    return np.float64(2.0) < 1.0, np.int64(job.number), np.float64(0.5)  # type: ignore[return-value]
+
+
+def test_numbers_of_numpy_are_kept_as_pythons(tmp_path):
+    jobs = make_jobs(tmp_path, [3])
+    for _ in range(2):
+        results = open_results(tmp_path / "kept.jsonl", "measuring", {})
+        run_jobs(measure_with_numpy, jobs, describe, Execution(0, None, results))
+    assert results.lines == {next(iter(results.lines)): [False, 3, 0.5]}
 
 
 def test_a_line_that_was_cut_off_is_dropped(tmp_path):

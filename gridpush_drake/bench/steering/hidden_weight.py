@@ -15,6 +15,7 @@ runs beside these are in `bench.steering.runs`, tables in `bench.steering.experi
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import radians
 
 import numpy as np
 import shapely
@@ -93,7 +94,7 @@ GOAL_HEADINGS = {T_BOTTOM_TASK: 0.0, T_TOP_TASK: 0.0, HAMMER_TASK: np.pi / 4}
 GOAL_POSITION = 0.03
 """Distance from the goal within which an episode counts as a success, m."""
 
-GOAL_ANGLE = np.radians(10.0)
+GOAL_ANGLE = radians(10.0)
 """Turn from the goal within which an episode counts as a success, rad."""
 
 GOAL_SPEED = 0.01

@@ -76,9 +76,15 @@ class PokeForecast:
     def describe(self) -> str:
         """The forecast in words."""
         what = "how far the center can be across the edge" if self.across_edge else "the center"
+        now, expected = (f"{std * MM_PER_M:.1f} mm" for std in (self.std, self.expected_std))
+        if self.expected_std < self.std:
+            return (
+                f"this poke is expected to bring the standard deviation of {what} "
+                f"from {now} to {expected}"
+            )
         return (
-            f"this poke is expected to bring the standard deviation of {what} "
-            f"from {self.std * MM_PER_M:.1f} mm to {self.expected_std * MM_PER_M:.1f} mm"
+            f"the standard deviation of {what} is {now}, and may be {expected} after this poke, "
+            "as the poke may show that another kind of object explains the pushes better"
         )
 
     def describe_outcome(self, after: "PokeForecast") -> str:

@@ -314,6 +314,8 @@ def test_the_next_poke_says_what_the_one_before_was_worth():
     assert "expected to leave 8.2 mm and left 37.8 mm" in said
     assert first.describe_outcome(PokeForecast(False, 0.00822, 0.002)) == ""
     assert first.describe_outcome(PokeForecast(True, 0.0378, 0.02)) == ""
+    assert "bring the standard deviation of the center from 30.4 mm to 8.2 mm" in first.describe()
+    assert "is 19.2 mm, and may be 20.9 mm" in PokeForecast(False, 0.0192, 0.0209).describe()
 
 
 def test_what_no_poke_can_tell_is_not_poked_for(pan, parts):
