@@ -27,6 +27,7 @@ from math import ceil, cos, radians, sin, tan
 import numpy as np
 import shapely
 from shapely import LineString, Polygon
+from shapely.affinity import translate
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import PlanningError, require_positive
@@ -177,16 +178,31 @@ def plan_press(
         The press; None where none is safe.
     """
     rules = rules or PressRules()
+    outline = transform_shape(pose, obj.outline)
+    places = _list_places(outline, rules)
+    return _choose_place(places, outline, centers, pose, edge, top, rules, is_robust)
+
+
+def _choose_place(
+    places: Array,
+    outline: Polygon,
+    centers: Array,
+    pose: Array,
+    edge: Edge,
+    top: float,
+    rules: PressRules,
+    is_robust: bool,
+) -> PlannedPress | None:
+    """Chooses the place (K, 2) to press at, of those on an object, whose outline is given in W."""
     c_W = transform(pose, centers)
     b = -edge.calc_beyond(c_W)
     inside = float(b.min())
     if inside <= _calc_least_inside(top, rules):
         return None
-    outline = transform_shape(pose, obj.outline)
     crossing = _find_crossing(outline, edge)
     if crossing is None:
         return None
-    places = _list_places(outline, edge, rules)
+    places = places[edge.calc_beyond(places) >= rules.min_arm]
     if not len(places):
         return None
 
@@ -257,12 +273,16 @@ def list_placements(
     farthest -= _calc_least_inside(top, rules)
     overhangs = np.arange(rules.min_arm + rules.rim, farthest, rules.overhang_step)
     sideways = along - float(across.max() + across.min()) / 2
+    # The object is moved and never turned, and all of its places with it.
+    turned = transform_shape((0.0, 0.0, heading), obj.outline)
+    places = _list_places(turned, rules)
     found = []
     for overhang in overhangs:
         beyond = overhang - reach.max()
         p = np.array(edge.point) + beyond * edge.normal + sideways * edge.tangent
         pose = np.array([*p, heading])
-        planned = plan_press(obj, centers, pose, edge, top, rules, is_robust)
+        outline = translate(turned, *p)
+        planned = _choose_place(places + p, outline, centers, pose, edge, top, rules, is_robust)
         if planned is not None:
             found.append(planned)
     return found
@@ -286,15 +306,14 @@ def _find_crossing(outline: Polygon, edge: Edge) -> Sequence[float] | None:
     return float(s.min()), float(s.max())
 
 
-def _list_places(outline: Polygon, edge: Edge, rules: PressRules) -> Array:
-    """Lists places (K, 2) on a part beyond the edge, W, m, on a grid."""
+def _list_places(outline: Polygon, rules: PressRules) -> Array:
+    """Lists places (K, 2) on a grid at which the tip is over an object, m, in the outline's frame."""
     room = outline.buffer(-rules.rim)
     if room.is_empty:
         return np.empty((0, 2))
     left, low, right, high = room.bounds
     x, y = np.meshgrid(_divide(left, right, rules.spacing), _divide(low, high, rules.spacing))
     grid = np.column_stack([x.ravel(), y.ravel()])
-    grid = grid[edge.calc_beyond(grid) >= rules.min_arm]
     return np.asarray(grid[shapely.contains_xy(room, grid[:, 0], grid[:, 1])])
 
 
