@@ -326,7 +326,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
                 pose,
                 self.rules,
                 pokes=pokes,
-                follow_run=now.follow_run,
+                follow_run=replace(now.follow_run, path=now.prepared.path, progress=now.progress),
             )
             now, answer = self._ask(now, work, time)
         else:

@@ -203,6 +203,32 @@ def test_the_finger_goes_up_if_the_object_stays_hidden_and_goes_on_once_it_is_se
     assert (status.mode, status.plans) == (FollowMode.REACHED, 2)
 
 
+def test_what_is_behind_on_a_told_path_is_not_gone_again():
+    class Left(Run):
+        """The object stays where it was left when the finger comes down again."""
+
+        def make_finger(self, tip):
+            been = self.steered.poses if hasattr(self, "steered") else []
+            pose = been[-1] if been else np.zeros(3)
+            return SteeredFinger(SimulatedWorld(Model(OBJ, TRUTH), pose), tip, FINGER.radius, SIGHT)
+
+    told = PosePath([(0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0)], speed=0.05)
+    run = Left(replace(RULES, path=told))
+    run.poke()
+    while not run.steered.poses or run.steered.poses[-1][0] < 0.05:
+        run.go(0.1)
+    run.is_seen = False
+    run.go(MAX_BLIND_TIME + 1.0)
+    run.is_seen = True
+    left = run.steered.poses[-1]
+    run.go(0.1)
+    path = run.controller.GetOutputPort("prepared").Eval(run.context).path
+    begin = transform(path.poses[0], OBJ.p_BC.mean(axis=0)[None])
+    assert np.linalg.norm(begin - transform(left, OBJ.p_BC.mean(axis=0)[None])) < 0.01
+    np.testing.assert_allclose(path.goal, told.goal, atol=1e-12)
+    assert run.go(30.0).mode == FollowMode.REACHED
+
+
 @pytest.mark.slow
 def test_the_finger_stops_where_a_decision_takes_too_long_and_makes_up_for_its_time():
     late = 2.5 * RULES.options.period

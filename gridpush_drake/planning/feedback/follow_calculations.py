@@ -5,7 +5,7 @@ each is due is the controller's matter.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import shapely
@@ -23,7 +23,7 @@ from gridpush_drake.planning.feedback.follow_options import (
     FollowStatus,
 )
 from gridpush_drake.planning.feedback.path_planner import plan_pose_path
-from gridpush_drake.planning.feedback.pose_path import PosePath
+from gridpush_drake.planning.feedback.pose_path import PathProgress, PosePath
 from gridpush_drake.planning.feedback.pose_track import TrackOptions
 from gridpush_drake.planning.feedback.push_follower import PushFollower
 from gridpush_drake.planning.loop_run import Learner
@@ -84,10 +84,14 @@ class FollowProgress:
     Attributes:
         tips: (time, x, y) of the finger's center, s and m.
         seen: poses that came.
+        path: the path that was followed last; None before the first.
+        progress: how far the object came on it, m.
     """
 
     tips: tuple[tuple[float, float, float], ...] = ()
     seen: tuple[SeenPose, ...] = ()
+    path: PosePath | None = None
+    progress: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +124,8 @@ def prepare_after(
 ) -> Prepared:
     """Prepares a further path, for which is learned from the way so far as well.
 
+    Of a path that is told, what the object has left behind is not gone again.
+
     Args:
         obj: the object.
         learned: what was learned of it from the pokes.
@@ -129,6 +135,9 @@ def prepare_after(
         follow_run: what was seen while the finger was steered; empty before the first path.
     """
     again = learn_on(obj, learned, rules, pokes=pokes, follow_run=follow_run)
+    if rules.path is not None and follow_run.path is not None:
+        left = PathProgress(obj, follow_run.path).rest(follow_run.progress)
+        rules = replace(rules, path=left)
     return prepare(obj, learned if again is None else again, pose, rules)
 
 

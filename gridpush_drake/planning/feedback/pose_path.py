@@ -101,7 +101,7 @@ class PathProgress:
     def __init__(self, obj: GridObject, path: PosePath) -> None:
         """Measures the path."""
         self.path = path
-        middle = obj.p_BC.mean(axis=0)
+        self._middle = middle = obj.p_BC.mean(axis=0)
         self._arm = obj.radius_of_gyration
         # the path at even lengths, so that a place on it is found by its index
         corners, arc = self._measure(path.poses, middle)
@@ -159,6 +159,13 @@ class PathProgress:
         turn = np.mod(heading - near[:, 2] + np.pi, 2 * np.pi) - np.pi
         off = ((near[:, :2] - center) ** 2).sum(axis=1) + (self._arm * turn) ** 2
         return float(self._arc[low + int(off.argmin())])
+
+    def rest(self, begin: float) -> PosePath:
+        """The part of the path that is left from a length on, m; a last step of it at least."""
+        begin = min(begin, float(self._arc[-2]))
+        rows = np.vstack([self.at(begin), self._table[self._arc > begin]])
+        origin = rows[:, :2] - rotate(rows[:, 2], self._middle)
+        return PosePath(np.column_stack([origin, rows[:, 2]]), self.path.speed)
 
     def measure_distance(self, centers: Array) -> Array:
         """Distances (K,) of centroids (K, 2) from the nearest place of the whole path, m."""

@@ -26,6 +26,7 @@ from math import ceil, cos, radians, sin, tan
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from shapely import LineString, Polygon
 from shapely.affinity import translate
 
@@ -153,6 +154,32 @@ class PlannedPress:
         return replace(self, pose=compose(X, self.pose), target=target)
 
 
+@dataclass(frozen=True, eq=False)
+class _LyingObject:
+    """An object as it lies.
+
+    Attributes:
+        pose: (3,) X_WB, m and rad.
+        outline: its outline, W, m.
+        places: (K, 2) on a grid, where the whole tip is over it, W, m.
+    """
+
+    pose: Array
+    outline: Polygon
+    places: Array
+
+    @classmethod
+    def at(cls, pose: Array, outline: Polygon, rules: PressRules) -> "_LyingObject":
+        """Lays an object, whose outline is given in the body frame, to a pose (3,)."""
+        placed = transform_shape(pose, outline)
+        return cls(np.asarray(pose), placed, _list_places(placed, rules))
+
+    def move(self, p: Array) -> "_LyingObject":
+        """Moves it by (2,), W, m."""
+        pose = self.pose + np.append(p, 0.0)
+        return _LyingObject(pose, translate(self.outline, *p), self.places + p)
+
+
 def plan_press(
     obj: GridObject,
     centers: Array,
@@ -178,54 +205,40 @@ def plan_press(
         The press; None where none is safe.
     """
     rules = rules or PressRules()
-    outline = transform_shape(pose, obj.outline)
-    places = _list_places(outline, rules)
-    return _choose_place(places, outline, centers, pose, edge, top, rules, is_robust)
+    lying = _LyingObject.at(pose, obj.outline, rules)
+    return _choose_place(lying, centers, edge, top, rules, is_robust)
 
 
 def _choose_place(
-    places: Array,
-    outline: Polygon,
+    lying: _LyingObject,
     centers: Array,
-    pose: Array,
     edge: Edge,
     top: float,
     rules: PressRules,
     is_robust: bool,
 ) -> PlannedPress | None:
-    """Chooses the place (K, 2) to press at, of those on an object, whose outline is given in W."""
-    c_W = transform(pose, centers)
+    """Chooses the place at which a press is safe and tells most; for `plan_press`."""
+    c_W = transform(lying.pose, centers)
     b = -edge.calc_beyond(c_W)
     inside = float(b.min())
     if inside <= _calc_least_inside(top, rules):
         return None
-    crossing = _find_crossing(outline, edge)
+    crossing = _find_crossing(lying.outline, edge)
     if crossing is None:
         return None
-    places = places[edge.calc_beyond(places) >= rules.min_arm]
+    places = lying.places[edge.calc_beyond(lying.places) >= rules.min_arm]
+    places = places[_find_safe(places, c_W, crossing, edge, rules, is_robust)]
     if not len(places):
         return None
 
-    # Where weight and press act together, for each place and each corner of the region.
-    a = edge.calc_beyond(places)[:, None]
-    s = edge.calc_along(places)[:, None]
-    together = (a * edge.calc_along(c_W) + b * s) / (a + b)
-    low, high = crossing
-    slack = np.minimum(together - low, high - together).min(axis=1)
-    middle = float(b.mean())
-    farthest = float(b.max()) if is_robust else middle
-    light = rules.mass * GRAVITY * farthest <= rules.max_force * a[:, 0]
-    safe = (slack > rules.pose_error) & light
-    if not safe.any():
-        return None
-
     # The most telling one, with the center of mass in the middle of the region.
-    arm = a[safe, 0]
+    middle = float(b.mean())
+    arm = edge.calc_beyond(places)
     by_force = rules.force_std * arm / (rules.mass * GRAVITY * middle)
     by_edge = EDGE_STD * (1 / arm + 1 / middle)
     stds = np.hypot(by_force, by_edge)
     best = int(np.argmin(stds))
-    x, y = places[safe][best].tolist()
+    x, y = places[best].tolist()
     target = PressTarget(
         place=(x, y),
         edge_point=edge.point,
@@ -234,8 +247,29 @@ def _choose_place(
         tip_radius=rules.tip_radius,
     )
     return PlannedPress(
-        pose=np.asarray(pose), target=target, relative_std=float(stds[best]), inside=inside
+        pose=lying.pose, target=target, relative_std=float(stds[best]), inside=inside
     )
+
+
+def _find_safe(
+    places: Array,
+    c_W: Array,
+    crossing: Sequence[float],
+    edge: Edge,
+    rules: PressRules,
+    is_robust: bool,
+) -> NDArray[np.bool_]:
+    """Says at which of some places (K, 2) a press is safe, with each center of mass (V, 2), W."""
+    # Where weight and press act together, for each place and each corner of the region.
+    a = edge.calc_beyond(places)[:, None]
+    b = -edge.calc_beyond(c_W)
+    s = edge.calc_along(places)[:, None]
+    together = (a * edge.calc_along(c_W) + b * s) / (a + b)
+    low, high = crossing
+    slack = np.minimum(together - low, high - together).min(axis=1)
+    farthest = float(b.max()) if is_robust else float(b.mean())
+    light = rules.mass * GRAVITY * farthest <= rules.max_force * a[:, 0]
+    return np.asarray((slack > rules.pose_error) & light)
 
 
 def list_placements(
@@ -274,15 +308,12 @@ def list_placements(
     overhangs = np.arange(rules.min_arm + rules.rim, farthest, rules.overhang_step)
     sideways = along - float(across.max() + across.min()) / 2
     # The object is moved and never turned, and all of its places with it.
-    turned = transform_shape((0.0, 0.0, heading), obj.outline)
-    places = _list_places(turned, rules)
+    turned = _LyingObject.at(np.array([0.0, 0.0, heading]), obj.outline, rules)
     found = []
     for overhang in overhangs:
         beyond = overhang - reach.max()
         p = np.array(edge.point) + beyond * edge.normal + sideways * edge.tangent
-        pose = np.array([*p, heading])
-        outline = translate(turned, *p)
-        planned = _choose_place(places + p, outline, centers, pose, edge, top, rules, is_robust)
+        planned = _choose_place(turned.move(p), centers, edge, top, rules, is_robust)
         if planned is not None:
             found.append(planned)
     return found
@@ -307,7 +338,7 @@ def _find_crossing(outline: Polygon, edge: Edge) -> Sequence[float] | None:
 
 
 def _list_places(outline: Polygon, rules: PressRules) -> Array:
-    """Lists places (K, 2) on a grid at which the tip is over an object, m, in the outline's frame."""
+    """Lists places (K, 2) on a grid at which the tip is over an outline, m, in its frame."""
     room = outline.buffer(-rules.rim)
     if room.is_empty:
         return np.empty((0, 2))
