@@ -148,5 +148,5 @@ def judge(found: Found) -> FitJudgment:
     return FitJudgment(
         status=status or model.status,
         against=None if status is None else check,
-        unused_forces=explain_unused_forces(model.obj, used, model.physics.inertial),
+        unused_forces=explain_unused_forces([model.obj], used, model.physics.inertial),
     )

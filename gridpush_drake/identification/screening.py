@@ -6,6 +6,7 @@ simulations is chosen. What disagrees with the rest only by a fit is refused in 
 (`fit.robust_fit`).
 """
 
+import warnings
 from collections.abc import Collection
 from numbers import Integral
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.one_object import refuse_several
 from gridpush_drake.dynamics.physics import Physics, Regime
-from gridpush_drake.errors import IdentificationError
+from gridpush_drake.errors import IdentificationError, PushLogWarning
 from gridpush_drake.identification.fit.learning_task import LearningMethod, LearningTask
 from gridpush_drake.identification.methods import LEARNING_METHODS, find_method
 from gridpush_drake.identification.model import Model
@@ -24,7 +25,11 @@ from gridpush_drake.identification.statistics.outliers import ScreenedLog
 from gridpush_drake.identification.statistics.problem import resolve_physics
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.arguments import LOG_TYPES, PushLogOrFile, check_types, read_log
-from gridpush_drake.pushes.plausibility import check_plausible, check_plausible_mass_tests
+from gridpush_drake.pushes.plausibility import (
+    check_plausible,
+    check_plausible_mass_tests,
+    explain_unused_forces,
+)
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import MassTestLog
 
@@ -176,11 +181,20 @@ def _check_log(
 
 
 def _check_joint_log(model: Model, log: PushLog) -> ScreenedLog:
-    """Refuses a log of several objects that nothing can be learned from; it is kept as it is."""
+    """Refuses a log of several objects that nothing can be learned from; it is kept as it is.
+
+    Of poses that cannot be true, and of forces, which then are not used, warnings are given.
+    """
     if not len(log):
         raise IdentificationError("push log: holds no push; expected at least one")
     if not (model.pair_friction[np.triu_indices(len(model), 1)] > 0).all():
         raise IdentificationError(
             "pair_friction: expected positive numbers, as what is expected beforehand"
         )
+    for i, obj in enumerate(model.objects):
+        check_plausible(obj, log.single_out(i), learning=False, alone=False)
+    unused = explain_unused_forces(model.objects, log, inertial=False)
+    if unused is not None:
+        warning = f"{log.source}: {unused}" if log.source else unused
+        warnings.warn(warning, PushLogWarning, stacklevel=4)
     return ScreenedLog(log)

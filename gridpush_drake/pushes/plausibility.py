@@ -115,15 +115,23 @@ class Finding(NamedTuple):
 
 
 def check_plausible(
-    obj: GridObject, log: PushLog, *, learning: bool, frame_known: bool = True
+    obj: GridObject,
+    log: PushLog,
+    *,
+    learning: bool,
+    frame_known: bool = True,
+    alone: bool = True,
 ) -> None:
     """Refuses a log that cannot be true of an object, and warns of one that hardly can.
 
     Args:
+        obj: the object.
+        log: the pushes.
         learning: whether later poses are learned from, so that an impossible one spoils the result;
             where pushes are only to be predicted, it is warned of.
         frame_known: whether the outline's frame is said to be that of the logged poses; where it is
             not, an outline that is off is no news.
+        alone: whether nothing else was pushed; beside others, a pusher need not come near it.
 
     Raises:
         PushLogError: lengths or angles are in other units, a pusher is faster than any, or, where
@@ -133,7 +141,7 @@ def check_plausible(
     Warns:
         PushLogWarning: what may be true, but hardly is.
     """
-    for finding in find_implausible(obj, log, frame_known=frame_known):
+    for finding in find_implausible(obj, log, frame_known=frame_known, alone=alone):
         _report(finding, log.source, refuse=finding.about_first or learning)
 
 
@@ -152,16 +160,24 @@ def check_plausible_mass_tests(obj: GridObject, log: MassTestLog) -> None:
         _report(finding, log.source, refuse=True)
 
 
-def find_implausible(obj: GridObject, log: PushLog, *, frame_known: bool = True) -> list[Finding]:
+def find_implausible(
+    obj: GridObject, log: PushLog, *, frame_known: bool = True, alone: bool = True
+) -> list[Finding]:
     """Finds what cannot be true of a log, or hardly, at most one finding of a kind.
 
     Args:
+        obj: the object.
+        log: the pushes.
         frame_known: as for `check_plausible`.
+        alone: as for `check_plausible`.
     """
+    left_out = set() if frame_known else {find_other_body_frames}
+    if not alone:
+        left_out = {find_units, find_other_body_frames}
     finders = [
         (partial(find, obj, log), certain, first)
         for find, certain, first in PLAUSIBILITY_CHECKS
-        if frame_known or find is not find_other_body_frames
+        if find not in left_out
     ]
     return _collect(finders, ("push", "pushes"))
 
@@ -208,18 +224,24 @@ def check_size(obj: GridObject, kind: type[GridPushError]) -> None:
         raise kind(message)
 
 
-def explain_unused_forces(obj: GridObject, log: PushLog, inertial: bool) -> str | None:
+def explain_unused_forces(
+    objects: Sequence[GridObject], log: PushLog, inertial: bool
+) -> str | None:
     """Says why the forces of a log cannot be learned from; None where they can, or there are none.
 
     Args:
-        obj: the object.
+        objects: the objects that are pushed.
         log: the pushes.
         inertial: whether the pushes are simulated with inertia, as fast ones are.
     """
     if all(seen.force is None for seen in log):
         return None
-    for find in (_find_large_forces, _find_pulling_forces, _find_lifting_forces):
-        for message in find(obj, log):
+    for messages in (
+        _find_large_forces(objects, log),
+        _find_pulling_forces(log),
+        _find_lifting_forces(log),
+    ):
+        for message in messages:
             return f"{message}; the forces are not used"
     if inertial:
         return (
@@ -283,25 +305,28 @@ def _describe_size(obj: GridObject) -> str:
     return f"{float(obj.outline.area):.3g} m²{height}"
 
 
-def _find_large_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
-    """Finds forces beyond what the object's friction resists: a sensor's counts, perhaps."""
-    mass = obj.prior.total_mass
+def _find_large_forces(objects: Sequence[GridObject], log: PushLog) -> Iterator[str]:
+    """Finds forces beyond what the objects' friction resists: a sensor's counts, perhaps."""
+    masses = [obj.prior.total_mass for obj in objects]
+    known = [mass for mass in masses if mass is not None]
     limit = MAX_FORCE
+    mass = sum(known) if len(known) == len(masses) else None
     if mass is not None:
-        limit = min(MAX_FORCE, FORCE_FACTOR * obj.prior.friction_max * mass * GRAVITY)
+        friction = max(obj.prior.friction_max for obj in objects)
+        limit = min(MAX_FORCE, FORCE_FACTOR * friction * mass * GRAVITY)
     for seen in log:
         if seen.force is None:
             continue
         size = float(np.median(np.linalg.norm(seen.force, axis=1)))
         if size > limit:
-            held = "" if mass is None else f" for an object of {mass:.3g} kg"
+            held = "" if mass is None else f" for {mass:.3g} kg in all"
             yield (
                 f"push {seen.name!r}, columns force_x, force_y: are {size:.3g} N at the median; "
                 f"expected at most {limit:.3g} N{held}: in N, and not a sensor's counts?"
             )
 
 
-def _find_pulling_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
+def _find_pulling_forces(log: PushLog) -> Iterator[str]:
     """Forces against the pusher's motion: those on the pusher, or of another frame."""
     work = {seen.name: _calc_work(seen) for seen in log if seen.force is not None}
     pulling = [name for name, value in work.items() if value < 0]
@@ -314,7 +339,7 @@ def _find_pulling_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
             )
 
 
-def _find_lifting_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
+def _find_lifting_forces(log: PushLog) -> Iterator[str]:
     """Finds upward forces beyond what friction at the finger can carry: a sensor's offset."""
     felt = [
         (seen.force, seen.lift_force)
@@ -401,7 +426,7 @@ def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
         if far[k] <= allowed:
             continue
         # The column that moves most is named; what fits once it is divided by 1,000 is probably mm.
-        column = ("object_x", "object_y")[int(np.argmax(np.abs(moved[k])))]
+        column = f"{log.names[0]}_{'xy'[int(np.argmax(np.abs(moved[k])))]}"
         cause = (
             "in millimeters, or a lost track?" if far[k] * M_PER_MM < allowed else "a lost track?"
         )
@@ -422,7 +447,7 @@ def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
             continue
         k = int(np.argmax(turned))
         yield (
-            f"push {seen.name!r}, column object_theta: the object turns {turned[k]:.3g} rad by t = "
+            f"push {seen.name!r}, column {log.names[0]}_theta: the object turns {turned[k]:.3g} rad by t = "
             f"{seen.t_observed[k]:.3g} s, in a push of {seen.push.length:.3g} m; expected less "
             f"than {allowed:.3g} rad: in degrees, or a lost track?"
         )
@@ -442,7 +467,8 @@ def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[str]:
     for seen in log:
         if abs(seen.pose[2]) > MAX_FIRST_ANGLE:
             yield (
-                f"push {seen.name!r}, column {IN_DEGREES}; the object lies at {seen.pose[2]:.4g}"
+                f"push {seen.name!r}, column {log.names[0]}_theta: in degrees? expected rad; the "
+                f"object lies at {seen.pose[2]:.4g}"
             )
 
 

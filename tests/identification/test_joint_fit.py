@@ -7,7 +7,7 @@ import pytest
 
 from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import IdentificationError, PushLogError
+from gridpush_drake.errors import IdentificationError, PushLogError, PushLogWarning
 from gridpush_drake.identification.absolute.force_scale import calc_force_scale
 from gridpush_drake.identification.fit.hypotheses import (
     LoadHypothesis,
@@ -52,6 +52,20 @@ def calc_errors(model, pushes):
         for obj, mine, theirs in zip(model.objects, last, seen.final_pose, strict=True):
             errors.append(calc_pose_error(obj, mine, theirs).cell)
     return np.array(errors)
+
+
+def test_poses_that_cannot_be_are_warned_of_by_the_name_of_their_object():
+    truth = make_truth()
+    names = ("block 0", "block 1")
+    seen = push_scene(truth, 0)
+    method = JointEnsemble(NOISE, make_fields(0.3))
+    for shift, says in (
+        ([0.5, 0.0, 0.0], "_x: .* a lost track"),
+        ([0.0, 0.0, 90.0], "_theta: .* in degrees"),
+    ):
+        odd = replace(seen, poses_observed=seen.poses_observed + np.array([np.zeros(3), shift]))
+        with pytest.warns(PushLogWarning, match=f"column block 1{says}"):
+            identify(Model(truth.objects), PushLog((odd,), names=names), method)
 
 
 def test_two_objects_are_learned_together():
@@ -105,6 +119,10 @@ def test_what_is_refused():
         identify(Model(truth.objects), PushLog((), names=log.names))
     with pytest.raises(PushLogError, match=r"of 2 objects .* expected 1"):
         identify(Model(truth.objects[0]), log)
+    quick = Push(log[0].push.xy[0], 1e4 * (log[0].push.xy[-1] - log[0].push.xy[0]), 1e-4, RADIUS)
+    fast = replace(log[0], push=quick, t_observed=log[0].t_observed * 1e-5)
+    with pytest.raises(PushLogError, match=r"column t: the pusher moves .* are times in s"):
+        identify(Model(truth.objects), PushLog((fast,), names=log.names))
     with pytest.raises(IdentificationError, match="noise"):
         JointEnsemble(noise=(0.0, 1.0, 1.0))
 
@@ -153,10 +171,12 @@ def test_loads_stay_where_the_model_can_be_solved_though_nothing_explains_the_lo
         for seen in (push_scene(truth, seed) for seed in range(3))
     ]
     log = PushLog(tuple(pushes), names=("block 0", "block 1"))
-    found = identify(Model(truth.objects), log, JointEnsemble(NOISE, make_fields(0.7, 1.5)))
+    with pytest.warns(PushLogWarning, match="lost track"):
+        found = identify(Model(truth.objects), log, JointEnsemble(NOISE, make_fields(0.7, 1.5)))
     assert len(found.unexplained) == 3
     assert np.isfinite(found.covariance).all()
-    even = identify(Model(truth.objects), log, JointEnsemble((1e3, 1e3, 1e3), make_fields(0.7)))
+    with pytest.warns(PushLogWarning, match="lost track"):
+        even = identify(Model(truth.objects), log, JointEnsemble((1e3, 1e3, 1e3), make_fields(0.7)))
     assert np.abs(found.z - even.z).max() < MAX_CHANGE + 0.1
     statuses = {model.status for model in found.parts}
     assert statuses == {IdentificationStatus.EXPLAINS_LITTLE}
@@ -266,7 +286,11 @@ def test_forces_tell_how_heavy_objects_are_that_never_touched():
         )
     # measured on the pusher instead of on the object, they say nothing
     wrong = PushLog([replace(seen, force=-seen.force) for seen in log], names=names)
-    assert identify(Model(truth.objects), wrong, method).forces == ()
+    with pytest.warns(PushLogWarning, match=r"pull the object .*; the forces are not used"):
+        assert identify(Model(truth.objects), wrong, method).forces == ()
+    counts = PushLog([replace(seen, force=1e6 * seen.force) for seen in log], names=names)
+    with pytest.warns(PushLogWarning, match=r"a sensor's counts\?; the forces are not used"):
+        assert identify(Model(truth.objects), counts, method).forces == ()
 
 
 def test_forces_of_one_object_say_what_they_say_alone():

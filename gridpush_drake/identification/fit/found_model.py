@@ -62,7 +62,7 @@ def make_identification(
 
     # Measured forces give the common scale (section 10), but only those of slow pushes.
     force = None
-    if screened.log and explain_unused_forces(obj, screened.log, physics.inertial) is None:
+    if screened.log and explain_unused_forces([obj], screened.log, physics.inertial) is None:
         force = calc_force_scale(Model(obj, params, physics), posterior, screened.log, task.seed)
     if force is not None:
         params = force.rescale(Model(obj, params))

@@ -25,6 +25,7 @@ from gridpush_drake.identification.absolute.force_scale import PUSH_STD, ForceSc
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.statistics.problem import TimedPush
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.plausibility import explain_unused_forces
 from gridpush_drake.pushes.push_log import PushLog
 
 COMMON_STD = 10.0
@@ -71,10 +72,12 @@ def learn_from_forces(
         log: the pushes learned from, some with forces.
 
     Returns:
-        What they say; None where no force was measured while an object was pushed steadily, or most
-        point against the pusher.
+        What they say; None where no force was measured while an object was pushed steadily, or they
+        cannot be true.
     """
     physics = model.physics
+    if explain_unused_forces(model.objects, log, physics.inertial) is not None:
+        return None
     timed = [TimedPush.of(seen, physics.regime) for seen in log if seen.force is not None]
     if not timed:
         return None
