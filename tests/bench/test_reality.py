@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gridpush_drake.bench.data.real_logs import CMU_LOG, DUBINS_LOG, TWO_POINT_LOG
+from gridpush_drake.bench.data.real_logs import (
+    CMU_LOG,
+    DUBINS_LOG,
+    IMPORTED_LOG,
+    TWO_POINT_LOG,
+    simulate_log,
+)
 from gridpush_drake.bench.data.real_sets import PUSH_COUNTS, calc_error, divide, read_set
 from gridpush_drake.bench.reality.experiments import (
     STUDY,
@@ -69,6 +75,20 @@ def test_without_data_simulated_pushes_stand_in():
     assert rows[LEARNED_MODEL, 25] < rows[EVEN_MODEL, 0] < rows[STILL_MODEL, 0]
     with pytest.raises(GridPushError, match="--test: 26; expected at most 25"):
         make_jobs(RealityBenchOptions(test=26))
+
+
+def test_what_was_imported_is_a_set_named_by_its_folder(tmp_path):
+    log, obj = simulate_log(find_shipped_object("pliers"), 0, 0)
+    folder = tmp_path / "steel_block"
+    folder.mkdir()
+    log.write_csv(folder / "pushes.csv")
+    obj.write_yaml(folder / "object.yaml")
+    log[:3].write_csv(folder / "too_few.csv")
+    (job,) = make_jobs(RealityBenchOptions(data=tmp_path, plants=False, splits=1, test=4))
+    assert (job.name, job.kind) == ("steel_block", IMPORTED_LOG)
+    (table,) = tabulate(RealityBenchOptions(data=tmp_path), Done([(job, run_job(job))]))
+    rows = {(row[1], row[2]): row[3].mean for row in table.rows}
+    assert rows[LEARNED_MODEL, 25] < rows[EVEN_MODEL, 0] < rows[STILL_MODEL, 0]
 
 
 def test_refuses_a_folder_without_pushes(tmp_path):

@@ -25,6 +25,7 @@ from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.importers.cmu import POSE_SIZE
 from gridpush_drake.pushes.importers.dubins import COLUMNS
 from gridpush_drake.pushes.importers.two_point import HEAD_SIZE, MOTIONS
+from gridpush_drake.pushes.push_csv import REQUIRED_COLUMNS
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 SIMULATED_PUSH_COUNT = 50
@@ -47,6 +48,12 @@ TWO_POINT_LOG = "two-point"
 
 DUBINS_LOG = "dubins"
 """Kind of a log of runs in which two fingers push along planned curves."""
+
+IMPORTED_LOG = "imported"
+"""Kind of a push log in this package's own form, with its object's file beside."""
+
+OBJECT_BESIDE = "object.yaml"
+"""Name of that file: `gridpush import --out-dir` writes both into a folder."""
 
 OUTLINE_ENDING = "_outline.csv"
 """Ending of the name of the file beside such a log that has the outline of what is pushed: columns
@@ -125,6 +132,8 @@ def find_push_logs(
     )
     if DUBINS_LOG in kinds:
         expected += f", or runs of two fingers (NAME.csv, with NAME{OUTLINE_ENDING} beside)"
+    if IMPORTED_LOG in kinds:
+        expected += f", or folders that `gridpush import --out-dir` wrote ({OBJECT_BESIDE} beside)"
     check_folder(data, expected)
     texts = [(_count_pushes(path), path) for path in sorted(data.rglob("*.txt"))]
     logs = [
@@ -135,6 +144,13 @@ def find_push_logs(
     ]
     logs += [(MIT_LOG, path) for path in sorted(data.rglob("*.mat")) if _has_records(path)]
     logs += [(DUBINS_LOG, path) for path in sorted(data.rglob("*.csv")) if _has_runs(path)]
+    if IMPORTED_LOG in kinds:
+        logs += [
+            (IMPORTED_LOG, path)
+            for beside in sorted(data.rglob(OBJECT_BESIDE))
+            for path in sorted(beside.parent.glob("*.csv"))
+            if _count_imported(path) >= min_pushes
+        ]
     logs = [(kind, path) for kind, path in logs if kind in kinds]
     if not logs:
         raise GridPushError(f"{data}: holds no push log; expected {expected}")
@@ -164,6 +180,18 @@ def _has_runs(path: Path) -> bool:
         return False
 
 
+def _count_imported(path: Path) -> int:
+    """Counts the pushes of a table in this package's own form; 0 where it is another table."""
+    try:
+        with path.open(newline="") as file:
+            rows = csv.DictReader(file)
+            if not set(REQUIRED_COLUMNS) <= set(rows.fieldnames or ()):
+                return 0
+            return len({row[REQUIRED_COLUMNS[0]] for row in rows})
+    except (OSError, ValueError, csv.Error):
+        return 0
+
+
 def _has_records(path: Path) -> bool:
     """Says whether a file is one of MATLAB's that holds pushes."""
     try:
@@ -173,8 +201,11 @@ def _has_records(path: Path) -> bool:
 
 
 def name_logs(logs: Sequence[tuple[str, Path]]) -> list[tuple[str, str, Path]]:
-    """Names each log by its file, with as many of its folders as tell it from the others."""
-    names = {path: path.stem for _, path in logs}
+    """Names each log by its file, with as many of its folders as tell it from the others.
+
+    An imported one is named by its folder.
+    """
+    names = {path: path.parent.name if kind == IMPORTED_LOG else path.stem for kind, path in logs}
     for depth in range(1, max(len(path.parts) for path in names)):
         twice = [path for path, name in names.items() if list(names.values()).count(name) > 1]
         names |= {path: "/".join((*path.parts[-1 - depth : -1], path.stem)) for path in twice}

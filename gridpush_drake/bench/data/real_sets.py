@@ -22,6 +22,8 @@ from gridpush_drake.bench.data.real_logs import (
     CMU_LOG,
     CMU_RHO,
     DUBINS_LOG,
+    IMPORTED_LOG,
+    OBJECT_BESIDE,
     OUTLINE_ENDING,
     SIMULATED_LOG,
     TWO_POINT_LOG,
@@ -212,6 +214,10 @@ def read_set(path: Path, kind: str) -> RealSet:
         return _read_two_point(path)
     if kind == DUBINS_LOG:
         return _read_runs(path)
+    if kind == IMPORTED_LOG:
+        obj = GridObject.from_yaml(path.with_name(OBJECT_BESIDE))
+        log = PushLog.read_csv(path, obj.prior.pusher_radius)
+        return RealSet(kind, log, obj, tuple(range(len(log))))
     log, obj = find_importer(kind)().read(path)
     if kind == CMU_LOG:
         obj = replace(obj, prior=replace(obj.prior, center_of_mass=(0.0, 0.0)))

@@ -28,6 +28,7 @@ import numpy as np
 from gridpush_drake.bench.data.real_logs import (
     CMU_LOG,
     DUBINS_LOG,
+    IMPORTED_LOG,
     MIT_LOG,
     SIMULATED_LOG,
     SIMULATED_PUSH_COUNT,
@@ -82,7 +83,7 @@ from gridpush_drake.planning.stable.stable_push import Slip, calc_push_stability
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.report.table import Table
 
-REAL_KINDS = (CMU_LOG, TWO_POINT_LOG, MIT_LOG, DUBINS_LOG)
+REAL_KINDS = (CMU_LOG, TWO_POINT_LOG, MIT_LOG, DUBINS_LOG, IMPORTED_LOG)
 """Kinds of sets of real pushes."""
 
 DEFAULT_TEST_COUNT = 20
@@ -115,8 +116,8 @@ class RealityBenchOptions(StudyOptions):
         None,
         "Real pushes: a clone of GitHub robinzhoucmu/MLab_EXP or "
         "robinzhoucmu/PlanarManipulationToolBox, or a folder that holds such logs, or two-point "
-        "pushes or runs of two fingers in the forms that `gridpush import` reads. Without, "
-        "simulated pushes stand in.",
+        "pushes or runs of two fingers in the forms that `gridpush import` reads, or folders that "
+        "`gridpush import --out-dir` wrote. Without, simulated pushes stand in.",
         name="--data",
         metavar="DIR",
     )
