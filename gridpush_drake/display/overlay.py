@@ -195,7 +195,7 @@ def to_css(color: Rgba) -> str:
 
 
 def encode_phases(phases: Sequence[Phase]) -> list[float]:
-    """Writes phases as numbers, a character each, of the JSON that the page reads.
+    """Writes phases as JSON for the page, and the JSON as the numbers of its characters.
 
     A property of Meshcat can be a list of numbers, but not a text.
     """
