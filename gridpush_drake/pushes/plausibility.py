@@ -447,9 +447,9 @@ def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
             continue
         k = int(np.argmax(turned))
         yield (
-            f"push {seen.name!r}, column {log.names[0]}_theta: the object turns {turned[k]:.3g} rad "
-            f"by t = {seen.t_observed[k]:.3g} s, in a push of {seen.push.length:.3g} m; expected "
-            f"less than {allowed:.3g} rad: in degrees, or a lost track?"
+            f"push {seen.name!r}, column {log.names[0]}_theta: the object turns {turned[k]:.3g} "
+            f"rad by t = {seen.t_observed[k]:.3g} s, in a push of {seen.push.length:.3g} m; "
+            f"expected less than {allowed:.3g} rad: in degrees, or a lost track?"
         )
 
 
