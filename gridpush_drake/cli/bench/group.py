@@ -65,8 +65,8 @@ BENCHES: dict[str, LazyCommand] = {
     ),
     "drake": LazyCommand(
         "gridpush_drake.bench.drake:STUDY",
-        "Compare Drake's plant with the grid LCP, time the LCP system, and let the whole "
-        "station learn.",
+        "Compare Drake's plant and MuJoCo with the grid LCP, time the LCP system, and let the "
+        "whole station learn.",
     ),
     "scene": LazyCommand(
         "gridpush_drake.bench.multi_object.experiments:STUDY",
