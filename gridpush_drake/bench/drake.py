@@ -1,11 +1,13 @@
 """`gridpush bench drake`: the whole station learning, and the speed of `GridLcpSystem`.
 
-What the station learns is judged by pushes that are held out. Beside it, Drake's plant is compared
-with the grid LCP (`bench.worlds.plant`), and single updates of the station's Diagram are timed.
+What the station learns is judged by pushes that are held out. Beside it, Drake's plant and MuJoCo
+are compared with the grid LCP (`bench.worlds.plant`), and single updates of the station's Diagram
+are timed.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from time import perf_counter, sleep, thread_time
 from typing import Any
 
@@ -68,8 +70,9 @@ class DrakeBenchOptions(StudyOptions):
             many ideal poses a second, too.
         objects: names of the shipped objects that the station learns.
         seeds: number of hidden truths and noises of each of them.
-        plant_objects: names of the shipped objects that are pushed in Drake's plant.
-        plant_pushes: number of pushes of each of them.
+        plant_objects: names of the shipped objects that are pushed in Drake's plant and in MuJoCo.
+        plant_pushes: number of pushes of each of them by a disc.
+        plant_shape_pushes: number of pushes of each of them by each pusher of another shape.
         updates: whether single updates of the station's Diagram are timed.
     """
 
@@ -81,6 +84,7 @@ class DrakeBenchOptions(StudyOptions):
     seeds: int = DEFAULT_SEED_COUNT
     plant_objects: tuple[str, ...] = plant.DEFAULT_OBJECTS
     plant_pushes: int = plant.PUSH_COUNT
+    plant_shape_pushes: int = plant.SHAPE_PUSH_COUNT
     updates: bool = True
 
     @property
@@ -150,6 +154,7 @@ def shorten(options: DrakeBenchOptions) -> DrakeBenchOptions:
         seeds=1,
         plant_objects=options.plant_objects[:1],
         plant_pushes=2,
+        plant_shape_pushes=1,
         updates=False,
     )
 
@@ -165,11 +170,19 @@ def measure(options: DrakeBenchOptions, report: Report | None) -> list[Table]:
 
 
 def make_jobs(options: DrakeBenchOptions) -> list[plant.PlantJob | StationJob]:
-    """Makes the pushes in Drake's plant, and the experiments in the station."""
+    """Makes the pushes in the plants, and the experiments in the station."""
     pushes: list[plant.PlantJob] = []
     if options.camera == POSE_CAMERA:
+        # MuJoCo is in an extra, and is left out where it is not installed
+        plants = [plant.PLANAR_PLANT, plant.FREE_PLANT]
+        if find_spec("mujoco"):
+            plants.append(plant.MUJOCO_PLANT)
         pushes = plant.make_jobs(
-            options.plant_objects, options.plant_pushes, plant.BASE_KINDS, options.seed
+            options.plant_objects,
+            plants,
+            options.seed,
+            options.plant_pushes,
+            options.plant_shape_pushes,
         )
     rate = RGBD_RATE if len(options.cameras) > 1 else None
     experiments = [
@@ -222,7 +235,7 @@ def run_job(job: StationJob) -> StationScore:
 
 
 def tabulate(options: DrakeBenchOptions, done: Done) -> list[Table]:
-    """Tabulates the pushes in the plant, and the experiments by camera."""
+    """Tabulates the pushes in the plants, and the experiments by camera."""
     pushes = [score for scores in done.of(plant.PLANT_JOBS) for score in scores]
     experiments = done.of(STATION_JOBS)
     tables = [plant.make_table(pushes)] if pushes else []
@@ -447,8 +460,8 @@ STATION_JOBS = JobKind(
 
 STUDY = Study(
     name="drake",
-    help="Compare Drake's plant with the grid LCP, time the LCP system, and let the whole "
-    "station learn.",
+    help="Compare Drake's plant and MuJoCo with the grid LCP, time the LCP system, and let the "
+    "whole station learn.",
     options=DrakeBenchOptions,
     shorten=shorten,
     measure=measure,

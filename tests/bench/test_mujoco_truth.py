@@ -1,5 +1,6 @@
 """Bodies in MuJoCo bear, rub and shift their loads as each kind is said to."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -17,12 +18,24 @@ from gridpush_drake.bench.truth.sets import (
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.errors import GridPushError, PushError
 from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.identification.model import Model
+from gridpush_drake.planning.stable.stable_push import calc_push_stability, calc_slip
+from tests.helpers.scene_cases import PLATE, TIPS
 
 pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
 
+from gridpush_drake.bench.stable_paths import (
+    CLOSE_ENOUGH,
+    STABLE_WAY,
+    StableBenchOptions,
+    StableJob,
+    StableRun,
+    make_jobs,
+    run_job,
+    tabulate_runs,
+)
 from gridpush_drake.bench.truth import mujoco_world
 from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, MujocoWorld
 
@@ -83,6 +96,33 @@ def test_each_cell_bears_its_own_weight_and_moves_as_the_model_says():
     assert moved > 0.02
     assert apart < 3e-4
     assert abs(calc_shift(world, push)) < 3e-4
+
+
+@pytest.mark.parametrize("shape", [TIPS, PLATE])
+def test_a_shape_that_turns_moves_a_body_as_the_model_says(shape):
+    rng = np.random.default_rng(0)
+    obj, params = draw_masses("open_book", rng)
+    world = MujocoWorld(make_body("own_weight", obj, params, rng), shape)
+    # a wide turn and a tight one
+    front = shape.core[:, 0].max() + shape.radius
+    side = obj.outline.bounds[0] - front - 1e-4
+    for center in ((side, 0.3), (side, -0.04)):
+        angle = np.copysign(0.3, center[1])
+        push = Push.about(center, angle, shape=shape, start=(side, 0.02), duration=2.0)
+        world.put((0, 0, 0))
+        world.execute(push)
+        end = world.truth.motion.poses[-1]
+        expected = simulate(Model(obj, params), push, regime="quasi_static").final_pose
+        # both turns are too tight for this body, which slips; so says the cone, and as far
+        assert not calc_push_stability(Model(obj, params), push, count=1).is_stable
+        slips = [calc_slip(obj, push, np.zeros(3), pose).distance for pose in (end, expected)]
+        assert slips[1] > 0.04
+        assert abs(slips[0] - slips[1]) < 5e-4
+        apart = np.linalg.norm(obj.cells_at(end) - obj.cells_at(expected), axis=1).mean()
+        assert np.linalg.norm(obj.cells_at(end) - obj.p_BC, axis=1).mean() > 0.01
+        assert apart < 6e-4
+    with pytest.raises(PushError, match="not by the pusher that the world has"):
+        world.execute(make_push(obj, 0.1))
 
 
 def test_pushed_above_the_table_the_load_moves_forward_by_h_f_over_w():
@@ -158,3 +198,34 @@ def test_edges_left_out_while_they_are_far_change_nothing(monkeypatch):
         ends.append(np.concatenate([motion.poses[-1], world.truth.pose, [world.truth.tilt]]))
     assert ends[0][0] > 0.03  # beyond the edge by a centimeter or more
     np.testing.assert_array_equal(ends[0], ends[1])
+
+
+@pytest.mark.slow
+def test_a_learned_body_comes_to_its_goal_unseen_by_stable_pushes():
+    (run,) = run_job(StableJob("foundation", "spray_bottle", 500, (STABLE_WAY,)))
+    assert 1 <= run.pushes <= 3
+    assert run.probability >= 0.95
+    assert run.position < CLOSE_ENOUGH
+    assert run.angle < 0.01
+
+
+def test_a_table_of_stable_pushes_counts_bodies_without_a_path_as_not_within():
+    near = StableRun("foundation", "toolbox", 0, STABLE_WAY, 2, 0.001, 0.01, 0.002, 0.98, 1e-4)
+    runs = [near, replace(near, position=0.006), replace(near, position=0.006, probability=0.8)]
+    runs.append(replace(near, pushes=0, position=0.3, probability=np.nan, expected=np.nan))
+    table = tabulate_runs(runs)
+    row = dict(zip(table.columns, table.rows[0], strict=True))
+    assert row["bodies"] == 4
+    assert row["within 5 mm, %"] == 25
+    assert row["median, mm"] == 6
+    assert row["no path"] == 1
+    assert row["sure, but not within"] == 1
+
+
+def test_bodies_of_all_kinds_take_turns_and_each_round_has_its_seed():
+    jobs = make_jobs(StableBenchOptions(seed=3, bodies=60))
+    assert Counter(job.kind for job in jobs) == dict.fromkeys(TRUTH_KINDS, 12)
+    assert Counter(job.seed for job in jobs) == {3: 25, 4: 25, 5: 10}
+    assert len(set(jobs)) == 60
+    with pytest.raises(GridPushError, match="kind"):
+        make_jobs(StableBenchOptions(kinds=("ice",)))

@@ -50,6 +50,7 @@ from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers.cmu import triangle_block
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from tests.helpers.scene_cases import PLATE, TIPS
 from tests.helpers.shapes import rectangle
 from tests.helpers.shared_data import shared_data
 from tests.helpers.two_tip_logs import (
@@ -125,6 +126,20 @@ def test_mujoco_pushes_as_the_model_says():
     assert calc_error(plant.push(push, pose), expected) < 1e-3
     # A second push begins from rest, and is the same
     np.testing.assert_array_equal(plant.push(push, pose), plant.push(push, pose))
+
+
+@pytest.mark.parametrize("shape", [TIPS, PLATE])
+def test_mujoco_pushes_with_a_shape_as_the_model_says(shape):
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
+    obj = GridObject.from_yaml(find_shipped_object("open_book"))
+    params = CellParameters.random(obj, 1, (0.003, 0.03), (0.3, 0.5))
+    side = obj.outline.bounds[0] - shape.core[:, 0].max() - shape.radius - CLEARANCE
+    push = Push.about((side, 0.2), 0.3, shape=shape, start=(side, 0.01), duration=2.0)
+    plant = MujocoPlant(obj, params, shape)
+    pose = np.zeros(3)
+    expected = simulate(Model(obj, params), push, pose, regime="quasi_static").final_pose
+    assert calc_error(expected, pose) > 0.02
+    assert calc_error(plant.push(push, pose), expected) < 1e-3
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely import Point
 
-from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
+from gridpush_drake.bench.truth.mujoco_world import MujocoWorld, TruthBody
 from gridpush_drake.bench.truth.sets import FOUNDATION_KIND, THREE_FEET, draw_masses, make_body
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
@@ -75,6 +75,7 @@ class HiddenBodyCase:
         learned: what was learned from the pokes; None where it was not asked for.
         make_finger: makes the world, and the finger in it.
         pokes: what it was learned from; None where it was not learned.
+        body: the body in MuJoCo; None where the world obeys the model.
     """
 
     obj: GridObject
@@ -82,16 +83,20 @@ class HiddenBodyCase:
     learned: Identification | None
     make_finger: FingerMaker
     pokes: PushLog | None = None
+    body: TruthBody | None = None
 
 
-def make_case(world: str, name: str, seed: int, *, learns: bool) -> HiddenBodyCase:
+def make_case(
+    world: str, name: str, seed: int, *, learns: bool, poke_count: int = POKE_COUNT
+) -> HiddenBodyCase:
     """Draws a body, and learns it from pokes where that is asked for.
 
     Args:
-        world: one of STEERED_WORLDS.
+        world: LCP_WORLD, or a kind of bodies in MuJoCo, see `bench.truth.sets`.
         name: name of a shipped object.
         seed: of everything.
         learns: whether the body is poked and learned.
+        poke_count: number of pokes.
     """
     rng = np.random.default_rng((seed, 51))
     obj, truth = draw_masses(name, rng)
@@ -99,9 +104,12 @@ def make_case(world: str, name: str, seed: int, *, learns: bool) -> HiddenBodyCa
     learned = None
     pokes = None
     if learns:
-        pokes = PushLog(tuple(draw_poke(pokes_world, obj, rng, i) for i in range(POKE_COUNT)))
+        pokes = PushLog(tuple(draw_poke(pokes_world, obj, rng, i) for i in range(poke_count)))
         learned = identify(Model(obj), pokes, seed=seed, regime="quasi_static")
-    return HiddenBodyCase(obj, truth, learned, make_finger, pokes)
+    body = pokes_world.body if isinstance(pokes_world, MujocoWorld) else None
+    return HiddenBodyCase(
+        obj=obj, truth=truth, learned=learned, make_finger=make_finger, pokes=pokes, body=body
+    )
 
 
 def put_body(

@@ -1,4 +1,4 @@
-"""Bodies that do not obey the model, in MuJoCo: a rigid body on feet, pushed by a disc.
+"""Bodies that do not obey the model, in MuJoCo: a rigid body on feet, pushed by a disc or a shape.
 
 What distinguishes the kinds is where the feet are, how stiff they are, and how high the pusher
 touches the body:
@@ -27,10 +27,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridpush_drake.bench.worlds.mujoco_plant import list_pusher_parts
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.dynamics.pusher import PusherShape
+from gridpush_drake.errors import PlanningError, PushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array, calc_yaw, transform
 from gridpush_drake.multibody.mjcf import (
@@ -72,6 +74,9 @@ speed within a step."""
 PUSHER_MASS = 0.01
 """Mass of what may follow the object up and down with the pusher, kg; so light that the pusher does
 not carry the object."""
+
+TURNING_JOINT = f'<joint type="hinge" axis="0 0 1" armature="{PUSHER_INERTIA}"/>'
+"""The joint, after the three others, of a pusher with a shape; its inertia is in kg m^2."""
 
 PUSHER_HALF_LENGTH = 0.1
 """Half the length of the pusher, a vertical rod, m."""
@@ -163,7 +168,7 @@ class TruthBody:
 
 
 class MujocoWorld(TrackedWorld):
-    """A rigid body in MuJoCo on a table with or without an edge, pushed by a disc.
+    """A rigid body in MuJoCo on a table with or without an edge, pushed by a disc or a shape.
 
     The pushes' forces, the tilting and the falling are MuJoCo's. A body counts as fallen when it
     tilts by FALLEN_TILT or more.
@@ -171,7 +176,8 @@ class MujocoWorld(TrackedWorld):
     Attributes:
         body: the body that is pushed.
         bodies: the object with its true masses and frictions.
-        radius: radius of the pusher, m.
+        shape: the pusher's; None of a disc.
+        radius: radius of the disc, or of the shape's round corners, m.
         foot_loads: (F,) what each foot bears at rest, wholly on the table, N.
         loads: (n,) what the feet of each cell bear at rest, wholly on the table, N.
     """
@@ -181,7 +187,7 @@ class MujocoWorld(TrackedWorld):
     def __init__(
         self,
         body: TruthBody,
-        radius: float,
+        pusher: float | PusherShape,
         table: Bounds = ENDLESS_TABLE,
         pose: ArrayLike | None = None,
         *,
@@ -196,7 +202,7 @@ class MujocoWorld(TrackedWorld):
 
         Args:
             body: the body.
-            radius: radius of the pusher, m.
+            pusher: radius of the disc that pushes, m, or the shape.
             table: sides of the table in W, m.
             pose: (3,) where the body is put down first, m and rad; the middle of the table where
                 None.
@@ -215,7 +221,8 @@ class MujocoWorld(TrackedWorld):
         mujoco = import_extra("mujoco", "bench")
         self.body = body
         self.bodies = Bodies(body.obj, body.params)
-        self.radius = radius
+        self.shape = pusher if isinstance(pusher, PusherShape) else None
+        self.radius = pusher.radius if isinstance(pusher, PusherShape) else pusher
         self._mujoco = mujoco
         self._settle = settle
         self._table = table
@@ -227,7 +234,7 @@ class MujocoWorld(TrackedWorld):
         edges = _find_edges(table)
         scenes: list[list[Edge]] = [[], edges] if edges else [[]]
         self._models = [
-            mujoco.MjModel.from_xml_string(_describe(body, radius, table, each)) for each in scenes
+            mujoco.MjModel.from_xml_string(_describe(body, pusher, table, each)) for each in scenes
         ]
         self._splits = [1, ceil(body.time_step / EDGE_TIME_STEP)]
         for model, split in zip(self._models, self._splits, strict=False):
@@ -273,7 +280,13 @@ class MujocoWorld(TrackedWorld):
         return self._read_pose(pose[2])
 
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
-        """Pushes the body from where it is, at rest, with a disc of this world's radius."""
+        """Pushes the body from where it is, at rest, with this world's pusher.
+
+        Raises:
+            PushError: the push is by a disc and the pusher another shape, or the other way round.
+        """
+        if (push.shape is None) != (self.shape is None):
+            raise PushError("push: not by the pusher that the world has; expected the same one")
         motion = self._push(push)
         motion.poses[:, 2] = np.unwrap(np.append(pose[2], motion.poses[:, 2]))[1:]
         return motion
@@ -285,6 +298,8 @@ class MujocoWorld(TrackedWorld):
         times = np.linspace(0.0, push.duration, count + 1)
         path = push.tip_at(times)
         speed = np.diff(path, axis=0) / dt
+        yaw = push.yaw_at(times)
+        rate = np.diff(yaw) / dt
         seen = np.empty((count + 1, 7))
         self._data.qvel[:] = 0
         for i in range(count + 1):
@@ -292,6 +307,9 @@ class MujocoWorld(TrackedWorld):
             if i < count:
                 self._data.qpos[7:9] = path[i]
                 self._data.qvel[6:8] = speed[i]
+                if self.shape is not None:
+                    self._data.qpos[10] = yaw[i]
+                    self._data.qvel[9] = rate[i]
                 self._step()
         poses = calc_poses(seen)
         poses[:, 2] = np.unwrap(poses[:, 2])
@@ -356,7 +374,7 @@ class MujocoWorld(TrackedWorld):
 
     def _let_pass(self, seconds: float) -> None:
         self._data.qpos[7:9] = PARKED_PUSHER
-        self._data.qvel[6:9] = 0
+        self._data.qvel[6:] = 0
         for _ in range(round(seconds / self.body.time_step)):
             self._step()
 
@@ -401,11 +419,13 @@ def calc_tilts(positions: Array) -> Array:
     return np.asarray(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
 
 
-def _describe(body: TruthBody, radius: float, table: Bounds, edges: list[Edge]) -> str:
+def _describe(
+    body: TruthBody, pusher: float | PusherShape, table: Bounds, edges: list[Edge]
+) -> str:
     """Describes the scene in MJCF, with some of the table's edges.
 
-    No geoms collide by themselves. Feet f touch the table, the pusher touches walls w, and plates p
-    touch the table's edges.
+    No geoms collide by themselves. Feet f touch the table, the pusher's parts touch walls w, and
+    plates p touch the table's edges.
     """
     left, low, right, high = table
     obj = body.obj
@@ -421,7 +441,12 @@ def _describe(body: TruthBody, radius: float, table: Bounds, edges: list[Edge]) 
         + describe_plates(obj, "p", body.bottom + PLATE_HALF)
     )
     pairs = describe_pairs("foot", "table", "f", params.friction[body.cell])
-    pairs += describe_pairs("wall", "pusher", "w", [params.contact_friction] * len(obj.edges.start))
+    turns = isinstance(pusher, PusherShape)
+    shape = pusher if isinstance(pusher, PusherShape) else PusherShape.disc(pusher)
+    parts = _describe_pusher(shape)
+    for i in range(len(parts)):
+        friction = [params.contact_friction] * len(obj.edges.start)
+        pairs += describe_pairs("wall", f"pusher{i}", "w", friction)
     for i in range(len(edges)):
         pairs += describe_pairs("edge", f"e{i}", "p", params.friction)
     return f"""
@@ -436,11 +461,25 @@ def _describe(body: TruthBody, radius: float, table: Bounds, edges: list[Edge]) 
       <joint type="slide" axis="1 0 0" armature="{PUSHER_INERTIA}"/>
       <joint type="slide" axis="0 1 0" armature="{PUSHER_INERTIA}"/>
       <joint type="slide" axis="0 0 1" damping="1"/>
-      <geom name="pusher" type="capsule" size="{radius - WALL_RADIUS} {PUSHER_HALF_LENGTH}"/>
+      {TURNING_JOINT if turns else ""}{"".join(parts)}
     </body>
   </worldbody>
   <contact>{pairs}</contact>
 </mujoco>"""
+
+
+def _describe_pusher(shape: PusherShape) -> list[str]:
+    """Describes the parts of a pusher."""
+    geoms = []
+    for i, part in enumerate(list_pusher_parts(shape)):
+        x, y = part.place
+        turn = np.array([np.cos(part.angle / 2), 0, 0, np.sin(part.angle / 2)])
+        size = " ".join(map(str, (*part.size, PUSHER_HALF_LENGTH)))
+        geoms.append(
+            f'<geom name="pusher{i}" type="{"capsule" if part.is_rod else "box"}" '
+            f'pos="{x} {y} 0" quat="{" ".join(map(str, turn))}" size="{size}"/>'
+        )
+    return geoms
 
 
 def _find_edges(table: Bounds) -> list[Edge]:

@@ -1,21 +1,22 @@
 """Pushes of a grid object in MuJoCo, by the very file that `gridpush export` writes for it.
 
-The pusher is a vertical rod, or several that are joined, led along the push's path as the file's
-head says that it should be. Needs the package `mujoco`.
+The pusher is a vertical rod, or several that are joined (by plates where the pusher is a polygon),
+led along the push's path as the file's head says that it should be. The walls that it touches are
+made softer than the file has them, see `MujocoPlant`. Needs the package `mujoco`.
 """
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import PusherShape
-from gridpush_drake.errors import PushError
 from gridpush_drake.extras import import_extra
-from gridpush_drake.geometry.se2 import Array, calc_yaw
+from gridpush_drake.geometry.se2 import Array, calc_yaw, turn_right
 from gridpush_drake.identification.model import Model
-from gridpush_drake.multibody.mjcf import WALL_RADIUS, make_mjcf
+from gridpush_drake.multibody.mjcf import WALL_RADIUS, calc_springs, make_mjcf
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -37,10 +38,56 @@ FINGER_MASS = 0.01
 FINGER_ARMATURE = 1000.0
 """Inertia of the finger's joints, kg and kg m²: what it touches does not move it."""
 
+WALL_SINKAGE = 3e-4
+"""Distance by which the finger would sink into the ring of walls along the outline if it pushed
+with the object's weight, m."""
+
+WALL_DAMPING_RATIO = 0.06
+"""Damping ratio of the finger on that ring. It damps slip, too: a larger one falsifies the friction
+of a finger that slides, and with a smaller one the finger bounces."""
+
 OBJECT_POSITIONS = slice(0, 7)
 FINGER_POSITIONS = slice(7, 10)
 FINGER_VELOCITIES = slice(6, 9)
 """Places of the object's pose and of the finger's in MuJoCo's vectors."""
+
+
+class PusherPart(NamedTuple):
+    """A part of a pusher in MuJoCo, upright and `2 FINGER_HALF` high.
+
+    Attributes:
+        place: (2,) of its middle, pusher's frame, m.
+        angle: of its length, rad.
+        size: radius of a rod, or half of the length and of the thickness of a plate, m.
+    """
+
+    place: Array
+    angle: float
+    size: tuple[float, ...]
+
+    @property
+    def is_rod(self) -> bool:
+        """Whether it is a rod, a capsule in MuJoCo; a plate is a box."""
+        return len(self.size) == 1
+
+
+def list_pusher_parts(shape: PusherShape) -> list[PusherPart]:
+    """Lists the rods at a shape's corners, or of its discs, and the plates at its straight sides.
+
+    They are thinner than the shape by the radius of the objects' walls, which touch them.
+    """
+    radius = shape.radius - WALL_RADIUS
+    parts = [PusherPart(place, 0.0, (radius,)) for place in shape.core]
+    if not shape.joined:
+        return parts
+    after = np.roll(shape.core, -1, axis=0)
+    for begin, end in zip(shape.core, after, strict=True):
+        length = float(np.linalg.norm(end - begin))
+        along = (end - begin) / length
+        place = (begin + end) / 2 + radius / 2 * turn_right(along)
+        angle = float(np.arctan2(along[1], along[0]))
+        parts.append(PusherPart(place, angle, (length / 2, radius / 2)))
+    return parts
 
 
 class MujocoPlant:
@@ -52,13 +99,11 @@ class MujocoPlant:
         Args:
             obj: the object.
             params: its masses and frictions.
-            shape: the finger's: a disc, or several.
+            shape: the finger's.
 
         Raises:
-            PushError: the shape is a polygon.
             MissingExtraError: `mujoco` is not installed.
         """
-        require_discs(shape)
         self._mujoco: Any = import_extra("mujoco", "bench")
         kinds = self._mujoco
         spec = kinds.MjSpec.from_string(make_mjcf(Model(obj, params), OBJECT_HEIGHT))
@@ -67,16 +112,33 @@ class MujocoPlant:
             finger.add_joint(type=kinds.mjtJoint.mjJNT_SLIDE, axis=axis, armature=FINGER_ARMATURE)
         hinge = kinds.mjtJoint.mjJNT_HINGE
         finger.add_joint(type=hinge, axis=(0, 0, 1), armature=FINGER_ARMATURE)
-        for center in shape.core:
+        for part in list_pusher_parts(shape):
             finger.add_geom(
-                type=kinds.mjtGeom.mjGEOM_CAPSULE,
-                pos=[*center, 0],
-                size=[shape.radius - WALL_RADIUS, FINGER_HALF, 0],
+                type=kinds.mjtGeom.mjGEOM_CAPSULE if part.is_rod else kinds.mjtGeom.mjGEOM_BOX,
+                size=[*part.size, FINGER_HALF, 0][:3],
+                pos=[*part.place, 0],
+                quat=[np.cos(part.angle / 2), 0, 0, np.sin(part.angle / 2)],
                 mass=FINGER_MASS,
             )
         spec.add_exclude(bodyname1="world", bodyname2="finger")
         self._model = spec.compile()
+        self._soften_walls(params.total_mass * GRAVITY)
         self._data = kinds.MjData(self._model)
+
+    def _soften_walls(self, weight: float) -> None:
+        """Lets the walls give way to this finger, by the object's weight, N, as its feet do.
+
+        The file cannot know what pushes, and its walls are stiff. They rub a finger that slides
+        along them wrongly: a push of 10 cm ends up to 9 mm off.
+        """
+        model = self._model
+        inverse = float(model.body_invweight0[1:, 0].sum())
+        springs, _, impedance = calc_springs(
+            np.array([weight]), WALL_SINKAGE, inverse, WALL_DAMPING_RATIO
+        )
+        walls = [i for i in range(model.ngeom) if model.geom(i).name.startswith("wall_")]
+        model.geom_solref[walls] = springs[0]
+        model.geom_solimp[walls, :2] = impedance[0]
 
     def push(self, push: Push, pose: Array) -> Array:
         """Pushes the object from rest.
@@ -107,9 +169,3 @@ class MujocoPlant:
             self._mujoco.mj_step(self._model, data)
         place = data.qpos[OBJECT_POSITIONS]
         return np.array([place[0], place[1], calc_yaw(*place[3:])])
-
-
-def require_discs(shape: PusherShape) -> None:
-    """Raises PushError where a shape is a polygon, which the plants do not know."""
-    if shape.joined:
-        raise PushError("push: by a polygon; expected a disc, or several, in a plant")

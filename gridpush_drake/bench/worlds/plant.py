@@ -1,23 +1,25 @@
-"""Pushes in Drake's MultibodyPlant, and the same ones in the grid LCP model.
+"""Pushes in Drake's MultibodyPlant and in MuJoCo, and the same ones in the grid LCP model.
 
-Objects have random parts. They get random pushes of 10 cm from random places of their outlines. The
-plant's sphere feet resist no spin, so the model's exact counterpart is spin="none"; "coupled", the
-default elsewhere, gives cells their area. With the "planar" base each cell bears its own weight, as
-the model assumes. With the "free" base the loads shift, because the pusher touches the object above
-the table.
+Objects have random parts. They get random pushes of 10 cm from random places of their outlines: by
+a disc straight ahead, which the model follows with inertia, and by two fingertips or a plate along
+arcs, which it follows quasi-statically. The plants' sphere feet resist
+no spin, so the model's exact counterpart is spin="none"; "coupled", the default elsewhere, gives
+cells their area. With Drake's "planar" base and in MuJoCo each cell bears its own weight, as the
+model assumes. With the "free" base the loads shift, because the pusher touches the object above the
+table.
 
 `PlantWorld` is the plant as a world of closed loops and other benches.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import radians
-from typing import Any, Literal
+from math import ceil, radians
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.geometry import Box, CollisionFilterDeclaration, GeometrySet, Sphere
-from pydrake.math import RigidTransform
+from pydrake.geometry import Box, Capsule, CollisionFilterDeclaration, GeometrySet, Sphere
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
@@ -30,17 +32,17 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
-from shapely import Point
+from shapely import MultiPoint, Point
 
 from gridpush_drake.bench.study import JobKind
-from gridpush_drake.bench.worlds.mujoco_plant import require_discs
+from gridpush_drake.bench.worlds.mujoco_plant import MujocoPlant
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.physics import Physics, Regime
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import PusherShape, choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, compose, make_direction, rotate, turn_left
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
@@ -72,7 +74,10 @@ DEFAULT_OBJECTS = ("claw_hammer", "combination_wrench", "toolbox", "spray_bottle
 """Shipped objects that are pushed."""
 
 PUSH_COUNT = 20
-"""Number of pushes of each object."""
+"""Number of pushes of each object by a disc."""
+
+SHAPE_PUSH_COUNT = 13
+"""Number of pushes of each object by each pusher of another shape."""
 
 PUSH_LENGTH = 0.1
 """Length of a push, m."""
@@ -92,8 +97,38 @@ MODEL_TIME_STEP = 1e-3
 MAX_PUSH_TRIES = 100
 """Number of random pushes that are tried before it is said that none moves the object."""
 
-BASE_KINDS: tuple[Base, ...] = ("planar", "free")
-"""Bases of the object in the plant, see `AddGridObject`."""
+PlantKind = Literal["planar", "free", "mujoco"]
+"""Kind of a plant: Drake's with one of the bases of `AddGridObject`, or MuJoCo's."""
+
+PLANAR_PLANT: PlantKind = "planar"
+"""Drake's plant in which each cell bears its own weight."""
+
+FREE_PLANT: PlantKind = "free"
+"""Drake's plant in which loads shift; in it objects are pushed by a disc only."""
+
+MUJOCO_PLANT: PlantKind = "mujoco"
+"""The object in MuJoCo, see `MujocoPlant`."""
+
+DISC_PUSHER = "disc"
+"""Name of the pusher that is one disc, of the radius in the object's file."""
+
+PUSHER_SHAPES = {
+    "two fingertips": PusherShape.discs([(0.0, -0.02), (0.0, 0.02)], 0.004),
+    "plate": PusherShape.plate(0.06, 0.015, 0.004),
+}
+"""The other pushers, by name."""
+
+PUSHER_NAMES = (DISC_PUSHER, *PUSHER_SHAPES)
+"""Names of all pushers."""
+
+MAX_CURVATURE = 5.0
+"""Greatest curvature of the path of a pusher with a shape, 1/m; its sign is drawn, too."""
+
+PLACING_GAP = 1e-6
+"""Distance from the outline at which a pusher with a shape is put, m."""
+
+PLACING_STEPS = 1000
+"""Most steps in which it approaches the outline; each is as long as the distance left."""
 
 SPIN_MODELS: tuple[Literal["none", "coupled"], ...] = ("none", "coupled")
 """Models of how a cell resists spinning."""
@@ -117,6 +152,10 @@ PUSHER_GAIN = 1e7
 PUSHER_DAMPING = 1e4
 """Damping with which the pusher is held to its path, N s/m, and N m s/rad of one that turns."""
 
+MAX_PIECE = 0.005
+"""Longest capsule that the side of a polygon is made of, m. Drake finds one contact between a
+capsule and a box, which would jump from end to end of a longer one that lies flush."""
+
 TABLE_SIZE = (4.0, 4.0, 0.1)
 """Sides of the table in the plant along x, y and z, m."""
 
@@ -127,13 +166,15 @@ class PlantJob:
 
     Attributes:
         name: name of a shipped object.
-        base: base of the object in the plant.
+        plant: kind of the plant.
         seeds: seeds of the pushes.
+        pusher: one of PUSHER_NAMES.
     """
 
     name: str
-    base: Base
+    plant: PlantKind
     seeds: tuple[int, ...]
+    pusher: str = DISC_PUSHER
 
 
 @dataclass(frozen=True)
@@ -142,7 +183,7 @@ class PlantScore:
 
     Attributes:
         name: name of the object.
-        base: base of the object in the plant.
+        plant: kind of the plant.
         seed: seed of the push.
         spin: the model's spin.
         position: distance of both origins of the body frame, m.
@@ -150,11 +191,12 @@ class PlantScore:
         cells: mean distance of the cells in plant and model, m.
         moved: mean distance that the plant's cells went, m.
         tracking_error: greatest distance of the plant's pusher from its path, m.
-        tilt: greatest tilt of the object in the plant, rad.
+        tilt: greatest tilt of the object in Drake's plant, rad; NaN in MuJoCo.
+        pusher: one of PUSHER_NAMES.
     """
 
     name: str
-    base: str
+    plant: str
     seed: int
     spin: str
     position: float
@@ -163,63 +205,119 @@ class PlantScore:
     moved: float
     tracking_error: float
     tilt: float
+    pusher: str = DISC_PUSHER
 
 
 def make_jobs(
-    objects: Sequence[str], pushes: int, bases: Sequence[Base], seed: int
+    objects: Sequence[str],
+    plants: Sequence[PlantKind],
+    seed: int,
+    pushes: int = PUSH_COUNT,
+    shape_pushes: int = SHAPE_PUSH_COUNT,
 ) -> list[PlantJob]:
-    """Makes a job for each object and base.
+    """Makes a job for each object, pusher and plant.
 
     Args:
         objects: names of shipped objects.
-        pushes: number of pushes of each object.
-        bases: bases of the objects in the plant.
+        plants: kinds of plants.
         seed: seed of the first push; the others' follow.
+        pushes: number of pushes of each object by a disc.
+        shape_pushes: number of pushes of each object by each pusher of another shape.
 
     Raises:
         ObjectError: an object is not shipped.
     """
     for name in objects:
         find_shipped_object(name)
-    seeds = tuple(range(seed, seed + pushes))
-    return [PlantJob(name, base, seeds) for base in bases for name in objects]
+    jobs = []
+    for pusher in PUSHER_NAMES:
+        count = pushes if pusher == DISC_PUSHER else shape_pushes
+        seeds = tuple(range(seed, seed + count))
+        used = [kind for kind in plants if pusher == DISC_PUSHER or kind != FREE_PLANT]
+        jobs += [PlantJob(name, kind, seeds, pusher) for kind in used for name in objects]
+    return jobs
+
+
+class _PlantPush(NamedTuple):
+    """A push in a plant.
+
+    Attributes:
+        end: (3,) the object's last pose, m and rad.
+        tracking_error: greatest distance of the pusher from its path, m.
+        tilt: greatest tilt of the object, rad; NaN where it is not known.
+    """
+
+    end: Array
+    tracking_error: float
+    tilt: float
 
 
 def run_job(job: PlantJob) -> list[PlantScore]:
     """Pushes one object in the plant and in the model, once for each seed."""
     obj = GridObject.from_yaml(find_shipped_object(job.name))
-    radius = choose_pusher_radius(obj)
-    world = PlantWorld(Model(obj, CellParameters.uniform(obj)), radius=radius, base=job.base)
+    shape = PUSHER_SHAPES.get(job.pusher) or PusherShape.disc(choose_pusher_radius(obj))
+    push_there = _make_plant(job, obj, shape)
+    regime: Regime = "inertial" if job.pusher == DISC_PUSHER else "quasi_static"
     scores = []
     for seed in job.seeds:
         params = sample_ground_truth(obj, seed, friction_by_part=True)
-        push, pose = draw_push(Model(obj, params), seed, radius)
-        world.set_params(params)
-        world.put(pose)
-        world.execute(push)
-        motion = world.truth.motion
-        assert motion is not None
-        assert motion.tilt is not None
-        moved = calc_pose_error(obj, motion.poses[-1], pose).cell
+        model = Model(obj, params)
+        if job.pusher == DISC_PUSHER:
+            push, pose = draw_push(model, seed, shape.radius)
+        else:
+            push, pose = draw_shape_push(model, seed, shape)
+        found = push_there(params, push, pose)
+        moved = calc_pose_error(obj, found.end, pose).cell
         for spin in SPIN_MODELS:
-            physics = Physics(regime="inertial", spin=spin)
+            physics = Physics(regime=regime, spin=spin)
             expected = simulate(Model(obj, params, physics), push, pose, MODEL_TIME_STEP)
-            error = calc_pose_error(obj, expected.final_pose, motion.poses[-1])
+            error = calc_pose_error(obj, expected.final_pose, found.end)
             scores.append(
                 PlantScore(
                     name=job.name,
-                    base=job.base,
+                    plant=job.plant,
                     seed=seed,
                     spin=spin,
                     position=error.position,
                     angle=error.angle,
                     cells=error.cell,
                     moved=moved,
-                    tracking_error=world.tracking_error,
-                    tilt=float(motion.tilt.max()),
+                    tracking_error=found.tracking_error,
+                    tilt=found.tilt,
+                    pusher=job.pusher,
                 )
             )
     return scores
+
+
+def _make_plant(
+    job: PlantJob, obj: GridObject, shape: PusherShape
+) -> Callable[[CellParameters, Push, Array], _PlantPush]:
+    """Makes what pushes an object of given parameters from a pose (3,) in a job's plant."""
+    if job.plant == MUJOCO_PLANT:
+
+        def push_in_mujoco(params: CellParameters, push: Push, pose: Array) -> _PlantPush:
+            end = MujocoPlant(obj, params, shape).push(push, pose)
+            return _PlantPush(end, tracking_error=0.0, tilt=np.nan)
+
+        return push_in_mujoco
+
+    pusher: dict[str, Any] = (
+        {"radius": shape.radius} if job.pusher == DISC_PUSHER else {"shape": shape}
+    )
+    base: Base = "free" if job.plant == FREE_PLANT else "planar"
+    world = PlantWorld(Model(obj, CellParameters.uniform(obj)), base=base, **pusher)
+
+    def push_in_drake(params: CellParameters, push: Push, pose: Array) -> _PlantPush:
+        world.set_params(params)
+        world.put(pose)
+        world.execute(push)
+        motion = world.truth.motion
+        assert motion is not None
+        assert motion.tilt is not None
+        return _PlantPush(motion.poses[-1], world.tracking_error, float(motion.tilt.max()))
+
+    return push_in_drake
 
 
 def draw_push(model: Model, seed: int, radius: float) -> tuple[Push, Array]:
@@ -258,15 +356,74 @@ def draw_push(model: Model, seed: int, radius: float) -> tuple[Push, Array]:
     )
 
 
+def draw_shape_push(model: Model, seed: int, shape: PusherShape) -> tuple[Push, Array]:
+    """Draws a push by a shape, along an arc that begins at the outline, and where the object lies.
+
+    Args:
+        model: one object, with its parameters.
+        seed: seed of the push and the pose.
+        shape: the pusher's; it pushes about along its x axis.
+
+    Returns:
+        The push, and the object's pose (3,), m and rad.
+
+    Raises:
+        PushError: hardly any push moves the object.
+    """
+    obj = model.obj
+    rng = np.random.default_rng((seed, 4))
+    for _ in range(MAX_PUSH_TRIES):
+        pose = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi)])
+        point, _, normal = obj.edges.at(rng.uniform(0, obj.edges.perimeter))
+        angle = np.arctan2(*-normal[::-1]) + rng.uniform(-MAX_PUSH_ANGLE, MAX_PUSH_ANGLE)
+        curvature = rng.uniform(-MAX_CURVATURE, MAX_CURVATURE)
+        X_WT = compose(pose, np.array([*_approach(obj, shape, point, angle), angle]))
+        push = Push.about(
+            X_WT[:2] + turn_left(make_direction(X_WT[2])) / curvature,
+            curvature * PUSH_LENGTH,
+            shape=shape,
+            start=X_WT[:2],
+            yaw=X_WT[2],
+            duration=PUSH_LENGTH / PUSHER_SPEED,
+        )
+        last = simulate(model, push, pose, regime="quasi_static").final_pose
+        if calc_pose_error(obj, last, pose).cell >= MIN_MOTION:
+            return push, pose
+    raise PushError(
+        f"{obj.name}: none of {MAX_PUSH_TRIES} random pushes moves it by "
+        f"{MIN_MOTION * MM_PER_M:g} mm"
+    )
+
+
+def _approach(obj: GridObject, shape: PusherShape, point: Array, angle: float) -> Array:
+    """Finds where a shape that comes from outside, towards a point (2,), first touches the outline.
+
+    Returns:
+        (2,) p_BT, in the body frame, m.
+    """
+    ahead = make_direction(angle)
+    core = rotate(angle, shape.core)
+    far = shape.reach + float(np.linalg.norm(obj.edges.start - point, axis=1).max())
+    place = point - far * ahead
+    for _ in range(PLACING_STEPS):
+        corners = MultiPoint(place + core)
+        area = corners.convex_hull if shape.joined else corners
+        gap = float(obj.outline.distance(area)) - shape.radius
+        if gap <= PLACING_GAP:
+            break
+        place = place + gap * ahead
+    return place
+
+
 def make_table(scores: Sequence[PlantScore]) -> Table:
-    """Sums up scores by object, base and spin model, and over all objects."""
+    """Sums up scores by object, pusher, plant and spin model, and over all objects."""
     names = list(dict.fromkeys(score.name for score in scores))
     groups = [
-        ((name, base, spin), found)
-        for base in dict.fromkeys(score.base for score in scores)
+        ((name, pusher, kind, spin), found)
+        for pusher, kind in dict.fromkeys((score.pusher, score.plant) for score in scores)
         for spin in SPIN_MODELS
         for (name,), found in by_object(
-            [s for s in scores if (s.base, s.spin) == (base, spin)], names
+            [s for s in scores if (s.pusher, s.plant, s.spin) == (pusher, kind, spin)], names
         )
         if name != ALL_RESULTS or len(names) > 1
     ]
@@ -282,25 +439,31 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
     worst = max(score.tracking_error for score in scores)
     notes = (
         f"Difference of the last poses after pushes of {PUSH_LENGTH * 100:g} cm at "
-        f"{PUSHER_SPEED * 100:g} cm/s; random parts.",
+        f"{PUSHER_SPEED * 100:g} cm/s; random parts. A disc goes straight ahead; the others go "
+        f"along arcs of radii down to {100 / MAX_CURVATURE:g} cm.",
         "Planar: every foot bears its cell's weight, dt 1 ms.",
         "Free: six degrees of freedom, pushed 12 mm above the table, dt 2 ms: load shifts to the "
         "cells in front.",
-        "Spin: the model's; none is the plant's sphere feet.",
-        f"The plant's pusher left its path by at most {worst * 1e6:.1f} µm.",
+        "mujoco: every foot bears its cell's weight, pushed at the table's height.",
+        "Spin: the model's; none is the plants' sphere feet.",
+        f"The pusher of Drake's plant left its path by at most {worst * 1e6:.1f} µm.",
     )
     return Table.of(
-        "MultibodyPlant against the grid LCP", ("object", "base", "spin"), groups, columns, notes
+        "Drake's MultibodyPlant and MuJoCo against the grid LCP",
+        ("object", "pusher", "plant", "spin"),
+        groups,
+        columns,
+        notes,
     )
 
 
 class PlantWorld(TrackedWorld):
-    """An object in a MultibodyPlant on a table, pushed by a sphere or several along a given path.
+    """An object in a MultibodyPlant on a table, pushed by a sphere or a shape along a given path.
 
-    The sphere slides on two prismatic joints, x and y (several turn on a revolute one, too), and is
-    held to its path by stiff implicit PD gains: it errs by force/gain, 1e-6 m. A pusher of huge
-    mass at constant velocity would seem simpler, but Drake's solver stops at a residual relative to
-    the largest momentum around, and the object's motion is then not solved at all.
+    The sphere slides on two prismatic joints, x and y (a shape turns on a revolute one, too). Stiff
+    implicit PD gains hold it to its path, from which it errs by force/gain, 1e-6 m. A pusher of
+    huge mass at constant velocity would seem simpler, but Drake's solver stops at a residual
+    relative to the largest momentum around, and the object's motion is then not solved at all.
 
     With the "planar" base the object cannot fall: as in `SimulatedWorld`, it counts as fallen where
     its center of mass leaves the hull of what lies on the table. With the "free" base it has fallen
@@ -309,7 +472,7 @@ class PlantWorld(TrackedWorld):
     Attributes:
         bodies: the object with its true masses and frictions; `set_params` changes them.
         radius: radius of the pusher, m.
-        shape: the pusher's spheres from above; None of one sphere.
+        shape: what the pusher is seen as from above; None of one sphere.
         dt: time step of the plant, s.
         plant: the plant.
         scene_graph: its geometry.
@@ -346,7 +509,7 @@ class PlantWorld(TrackedWorld):
             surface: the table as far as falling goes, see above; None for one without end. The
                 plant's own table is TABLE_SIZE large.
             radius: radius of the pusher, m; the one that planners push with where None.
-            shape: discs, as which the pusher's spheres are seen from above, in place of a radius.
+            shape: what the pusher is seen as from above, in place of a radius.
             base: "planar" or "free".
             push_height: height of the pusher's center above the table, m.
             edge: x of the plant's table's edge in W, m: the table is where x is less; None for a
@@ -472,30 +635,28 @@ class PlantWorld(TrackedWorld):
         return float(np.arccos(np.clip(upright, -1, 1)))
 
 
-PLANT_JOBS = JobKind(job=PlantJob, run=run_job, describe=lambda job: f"{job.name}, {job.base}")
+PLANT_JOBS = JobKind(
+    job=PlantJob, run=run_job, describe=lambda job: f"{job.name}, {job.plant}, {job.pusher}"
+)
 """What is done with a job."""
 
 
 def AddPusher(
     plant: MultibodyPlant, radius: float, height: float, shape: PusherShape | None = None
 ) -> ModelInstanceIndex:
-    """Adds spheres on prismatic joints, x and y of the world, with PD gains, before Finalize.
+    """Adds a pusher on prismatic joints, x and y of the world, with PD gains, before Finalize.
 
     Args:
         plant: the plant.
-        radius: radius of the spheres, m.
-        height: height of their centers above the world's origin, m.
-        shape: places of several spheres, which also turn together; None of a single one.
+        radius: radius of the sphere, or of the shape's discs or round corners, m.
+        height: height of its center above the world's origin, m.
+        shape: discs, as spheres that also turn together, or a polygon, with lying capsules along
+            its sides; None of a single sphere.
 
     Returns:
-        Their model instance; the desired state is x, y (m) and their rates (m/s); of several
-        spheres x, y, yaw (m and rad) and their rates.
-
-    Raises:
-        PushError: the shape is a polygon.
+        Its model instance; the desired state is x, y (m) and their rates (m/s); of a shape x, y,
+        yaw (m and rad) and their rates.
     """
-    if shape is not None:
-        require_discs(shape)
     instance = plant.AddModelInstance("pusher")
     inertia = SpatialInertia.SolidSphereWithMass(PUSHER_MASS, radius)
     names = ("slide", "tip") if shape is None else ("slide", "carriage", "tip")
@@ -514,13 +675,28 @@ def AddPusher(
         added = plant.AddJoint(joint)
         actuator = plant.AddJointActuator(joint.name(), added)
         actuator.set_controller_gains(PdControllerGains(p=PUSHER_GAIN, d=PUSHER_DAMPING))
-    centers = np.zeros((1, 2)) if shape is None else shape.core
-    for i, center in enumerate(centers):
+    for i, (X_TG, part) in enumerate(_list_pusher_parts(radius, shape)):
         plant.RegisterCollisionGeometry(
-            tip,
-            RigidTransform(np.array([*center, 0])),
-            Sphere(radius),
-            f"tip{i}" if i else "tip",
-            MakePartnerProperties(),
+            tip, X_TG, part, f"tip{i}" if i else "tip", MakePartnerProperties()
         )
     return instance
+
+
+def _list_pusher_parts(
+    radius: float, shape: PusherShape | None
+) -> list[tuple[RigidTransform, Sphere | Capsule]]:
+    """Lists the geometries of a pusher, each with its pose in the pusher's frame."""
+    if shape is None or not shape.joined:
+        centers = np.zeros((1, 2)) if shape is None else shape.core
+        return [(RigidTransform(np.array([*center, 0])), Sphere(radius)) for center in centers]
+    parts = []
+    for begin, end in zip(shape.core, np.roll(shape.core, -1, axis=0), strict=True):
+        side = end - begin
+        length = float(np.linalg.norm(side))
+        lying = RollPitchYaw(0, np.pi / 2, np.arctan2(side[1], side[0]))
+        count = ceil(length / MAX_PIECE)
+        for i in range(count):
+            middle = begin + (i + 0.5) / count * side
+            X_TG = RigidTransform(lying, np.array([*middle, 0]))
+            parts.append((X_TG, Capsule(radius, length / count)))
+    return parts

@@ -34,6 +34,11 @@ BENCHES: dict[str, LazyCommand] = {
         "gridpush_drake.bench.planning:STUDY",
         "Choose contact points, and push objects to goal poses on the paper's round table.",
     ),
+    "stable": LazyCommand(
+        "gridpush_drake.bench.stable_paths:STUDY",
+        "Push bodies that do not obey the model to goals 0.3 m away, unseen: by stable pushes of "
+        "two fingertips, and by pushes of one finger.",
+    ),
     "pregrasp": LazyCommand(
         "gridpush_drake.bench.pregrasp.experiments:STUDY",
         "Slide objects of hidden masses to the table's edge, and compare pokes by design with "
@@ -65,8 +70,8 @@ BENCHES: dict[str, LazyCommand] = {
     ),
     "drake": LazyCommand(
         "gridpush_drake.bench.drake:STUDY",
-        "Compare Drake's plant with the grid LCP, time the LCP system, and let the whole "
-        "station learn.",
+        "Compare Drake's plant and MuJoCo with the grid LCP, time the LCP system, and let the "
+        "whole station learn.",
     ),
     "scene": LazyCommand(
         "gridpush_drake.bench.multi_object.experiments:STUDY",
