@@ -4,6 +4,7 @@
 the first N tests are run, a parametrized one counting once, with its first parameters.
 """
 
+import gc
 import os
 import signal
 import subprocess
@@ -33,6 +34,8 @@ def pytest_configure(config):
     sys.dont_write_bytecode = False
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     begins_workers = not hasattr(config, "workerinput") and config.getoption("numprocesses", None)
+    if not begins_workers:
+        gc.disable()  # until all is imported; see `pytest_collection_finish`
     if begins_workers and not config.getoption("collectonly"):
         subprocess.run([sys.executable, "-c", WARM_UP], check=False)
 
@@ -60,6 +63,16 @@ def pytest_collection_modifyitems(config, items):
             kept.append(item)
     config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
     items[:] = kept
+
+
+def pytest_collection_finish():
+    """Exempts what was imported and collected from Python's search for garbage.
+
+    There are millions of such objects, and each search would go through all of them.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_runtest_setup(item):

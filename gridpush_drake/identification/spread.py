@@ -6,7 +6,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f
+from scipy.special import fdtr, fdtri
 
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.geometry.se2 import Array
@@ -172,13 +172,13 @@ def calc_norm_quantile(
         The quantile, m.
     """
     scale, numbers = _match_moments(covariance)
-    return float(np.sqrt(scale * f.ppf(probability, numbers, freedom)))
+    return float(np.sqrt(scale * fdtri(numbers, freedom, probability)))
 
 
 def calc_norm_probability(covariance: Array, freedom: float, norm: float) -> float:
     """Calculates the probability of |r| below a norm, m, the inverse of `calc_norm_quantile`."""
     scale, numbers = _match_moments(covariance)
-    return float(f.cdf(norm**2 / scale, numbers, freedom))
+    return float(fdtr(numbers, freedom, norm**2 / scale))
 
 
 def _match_moments(covariance: Array) -> tuple[float, float]:

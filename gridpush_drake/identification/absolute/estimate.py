@@ -33,7 +33,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import IdentificationError
@@ -510,7 +510,7 @@ class AbsoluteFit:
         At the minimum the whole sum of squares, priors included, is a chi square with as many
         degrees of freedom as there are observations.
         """
-        return float(chi2.sf(2 * self.loss, self.observations))
+        return float(chdtrc(self.observations, 2 * self.loss))
 
 
 def fit_absolute(problem: MassProblem, near: AbsoluteFit | None = None) -> AbsoluteFit:
