@@ -9,7 +9,6 @@ import pytest
 from gridpush_drake.identification.result import HypothesisEvidence, IdentificationStatus
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.report import page as page_module
 from gridpush_drake.report.page import make_report
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.simulated_pushes import make_pushes
@@ -45,13 +44,6 @@ def experiment():
 def page(experiment):
     """The report with the truth and pushes held out."""
     return make_report(*experiment)
-
-
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Leaves each figure of a page empty: most of a report's time is that of drawing them."""
-    empty = b'<svg xmlns="http://www.w3.org/2000/svg"/>'
-    monkeypatch.setattr(page_module, "to_svg", lambda figure: empty)
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.report import page as page_module
 from gridpush_drake.report.page import make_report
 from gridpush_drake.report.progress import ExpectedUncertainty, calc_progress, draw_progress
 from tests.helpers.made_identifications import make_block
@@ -59,8 +58,7 @@ def test_what_is_known_of_the_center_is_followed(run):
     np.testing.assert_allclose(right.lines[1].get_ydata(), progress.predicted * 1e3)
 
 
-def test_the_report_sets_predictions_and_fits_apart_and_links_the_recording(run, monkeypatch):
-    monkeypatch.setattr(page_module, "to_svg", lambda figure: b"")  # for speed: words are looked at
+def test_the_report_sets_predictions_and_fits_apart_and_links_the_recording(run, undrawn):
     _, truth, log, estimates = run
     progress = calc_progress(estimates, log, truth)
     page = make_report(estimates[-1], log[:3], truth=truth, progress=progress)
