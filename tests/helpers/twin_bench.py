@@ -27,6 +27,9 @@ from gridpush_drake.station.schema.scenario import PushScenario
 COARSE_BOOK = str(Path(__file__).with_name("coarse_book.yaml"))
 """An object that is simulated fast."""
 
+COARSE_HAMMER = str(Path(__file__).with_name("coarse_hammer.yaml"))
+"""The shipped hammer with a third of its cells, for speed, too."""
+
 Spoiler = Callable[[float, bytes], list[bytes]]
 """Of the twin's time, s, and a message: what comes instead."""
 

@@ -30,7 +30,7 @@ from gridpush_drake.station.schema.scenario_file import read_scenario
 from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
 from gridpush_drake.station.simulated.push_station import MakePushStation
 from gridpush_drake.systems.base.messages import PushCommand
-from tests.helpers.twin_bench import TwinBench
+from tests.helpers.twin_bench import COARSE_HAMMER, TwinBench
 
 BASE = (0.05, -0.02, 0.08)
 """Of the second arm's base in the world, m."""
@@ -120,7 +120,8 @@ def test_the_second_arm_pushes_and_speaks_with_its_twin(second_arm):
     ],
 )
 def test_a_robot_that_comes_with_the_package_pushes_within_its_limits(name):
-    station = MakePushStation(PushScenario(directives=make_robot_directives(name, grasping=False)))
+    scene = make_robot_directives(name, grasping=False)
+    station = MakePushStation(PushScenario(object=COARSE_HAMMER, directives=scene))
     simulator = Simulator(station)
     context = simulator.get_mutable_context()
     station.SetStart(context)
