@@ -4,6 +4,7 @@
 the first N tests are run, a parametrized one counting once, with its first parameters.
 """
 
+import gc
 import os
 import signal
 import subprocess
@@ -22,6 +23,11 @@ WARM_UP = "from gridpush_drake.dynamics.warm_up import compile_rollouts; compile
 """Python code that compiles the kernels, or finds them compiled."""
 
 
+GC_THRESHOLDS = (20_000, 20, 20)
+"""How many new objects Python makes before it looks for garbage among them, and how many such looks
+before it looks among older ones. Its own 700 take a twelfth of the suite's time."""
+
+
 def pytest_configure(config):
     """Prepares what a suite takes from its surroundings.
 
@@ -33,6 +39,8 @@ def pytest_configure(config):
     sys.dont_write_bytecode = False
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     begins_workers = not hasattr(config, "workerinput") and config.getoption("numprocesses", None)
+    if not begins_workers:
+        gc.disable()  # until all is imported; see `pytest_collection_finish`
     if begins_workers and not config.getoption("collectonly"):
         subprocess.run([sys.executable, "-c", WARM_UP], check=False)
 
@@ -62,10 +70,28 @@ def pytest_collection_modifyitems(config, items):
     items[:] = kept
 
 
+def pytest_collection_finish():
+    """Exempts what was imported and collected from Python's search for garbage.
+
+    There are millions of such objects, and each search would go through all of them.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(*GC_THRESHOLDS)
+    gc.enable()
+
+
 def pytest_runtest_setup(item):
     budget = item.config.getoption("--budget")
     if budget is not None and monotonic() - BEGIN > budget:
         pytest.skip(f"{USED_UP}: {budget:g} s")
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leaves each figure of a report empty: most of a report's time is that of drawing them."""
+    empty = b'<svg xmlns="http://www.w3.org/2000/svg"/>'
+    monkeypatch.setattr("gridpush_drake.report.page.to_svg", lambda figure: empty)
 
 
 def pytest_terminal_summary(terminalreporter):

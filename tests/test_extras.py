@@ -41,6 +41,8 @@ NOT_FOR_TESTS = {"gym-pusht", "jax", "mujoco", "pyarrow", "pymunk", "rerun-sdk",
 Arrow, JAX, MuJoCo, Rerun and torch are large, and gym-pusht brings another build of OpenCV."""
 
 MISSING = """
+import gc
+gc.disable()  # it would look through all that is imported again and again
 import sys
 
 class Missing:

@@ -149,6 +149,12 @@ MAX_MESH_SIZE = 1024 * BYTES_PER_MEGABYTE
 XML_MODELS = (".urdf", ".sdf", ".xml", ".world")
 """How the names of models' files end that are XML."""
 
+MODEL_SUFFIX = ".urdf"
+"""How the names of this package's models end."""
+
+OLD_MODEL_SUFFIX = ".sdf"
+"""How some of them ended once; see `rename_model`."""
+
 PACKAGE_URL = re.compile(r"(?:package|model)://([^/]+)")
 """How a URL begins that names a package."""
 
@@ -232,7 +238,21 @@ def _flatten(directives: Sequence[ModelDirective], package_map: PackageMap) -> l
     """Flattens directives whose files were checked."""
     whole = ModelDirectives(directives=list(directives))
     flat: list[ModelDirective] = FlattenModelDirectives(whole, package_map).directives
+    for directive in flat:
+        if directive.add_model:
+            directive.add_model.file = rename_model(directive.add_model.file)
     return flat
+
+
+def rename_model(url: str) -> str:
+    """Returns the URL of today for a model of this package that was an SDFormat file once.
+
+    These models are URDF files, which Drake reads eight times as fast (5 ms instead of 40 ms each).
+    Scenes of old name them by their old files.
+    """
+    if url.startswith(f"package://{PACKAGE_NAME}/") and url.endswith(OLD_MODEL_SUFFIX):
+        return url.removesuffix(OLD_MODEL_SUFFIX) + MODEL_SUFFIX
+    return url
 
 
 def check_directives(directives: Sequence[ModelDirective], package_map: PackageMap) -> None:
@@ -337,7 +357,7 @@ class _DirectivesCheck(_IncludeCheck):
             path = _resolve(included, self._package_map, where)
             if path is not None:
                 total += self._count_file(path, self._check_file)
-            path = _resolve(model, self._package_map, where)
+            path = _resolve(model and rename_model(model), self._package_map, where)
             if path is not None:
                 open_file(path, MODEL_FILE, ScenarioError, MAX_TEXT_SIZE).close()
             if total > MAX_DIRECTIVES:

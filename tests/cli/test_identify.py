@@ -288,7 +288,7 @@ def weighings(tmp_path):
     return path
 
 
-def test_weighings_give_absolute_numbers(gridpush, block, pushes, weighings, tmp_path):
+def test_weighings_give_absolute_numbers(gridpush, block, pushes, weighings, tmp_path, undrawn):
     model, report = tmp_path / "learned.yaml", tmp_path / "report.html"
     outcome = gridpush(
         "identify", block, pushes, "--weighings", weighings, "--out", model, "--report", report,

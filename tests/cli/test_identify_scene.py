@@ -22,7 +22,7 @@ def files(tmp_path_factory):
     return folder
 
 
-def test_both_objects_get_a_model_and_a_place_on_the_page(gridpush, files):
+def test_both_objects_get_a_model_and_a_place_on_the_page(gridpush, files, undrawn):
     model = files / "model.yaml"
     report = files / "report.html"
     outcome = gridpush(

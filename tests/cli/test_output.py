@@ -72,7 +72,7 @@ def test_a_full_or_closed_standard_error_ends_nothing(picture):
     arguments, file = picture
     words = " ".join(f"'{word}'" for word in [*COMMAND, *arguments])
     with Path("/dev/full").open("w") as full:
-        assert run(["show", "no such object"], stderr=full).returncode == 2
+        assert run(["no-such-command"], stderr=full).returncode == 2
     done = subprocess.run(["sh", "-c", f"{words} 2>&-"], stdout=subprocess.PIPE, text=True)
     assert done.returncode == 0
     assert file.exists()

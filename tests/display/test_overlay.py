@@ -1,5 +1,7 @@
 """What stands beside a recording, as a real browser draws it."""
 
+import html
+import json
 import re
 
 import numpy as np
@@ -53,27 +55,75 @@ def recording(tmp_path_factory):
     return path
 
 
-def test_tells_the_phase_of_each_moment(recording, tmp_path):
-    said = {
-        0.5: "<b>Looking</b><span></span><small>0.5 s</small>",
-        1.8: "<b>Push 1</b><span>Because &lt;/script&gt; it must.</span><small>1.8 s</small>",
-        2.0: "<b>Done</b><span></span><small>2.0 s</small>",
-    }
-    # Each moment is held for a while, before what the page says is taken down.
-    script = f"""
-      const animator = viewer.animator, moments = {list(said)}, told = document.createElement("div");
-      animator.pause();
-      let pictures = 0;
-      function hold() {{
-        const moment = moments[Math.floor(pictures / 3)];
-        animator.seek(moment); animator.display_progress(moment);
-        if (pictures++ % 3 == 2) told.innerHTML += document.getElementById("phase").innerHTML;
-        if (pictures < 3 * moments.length) setTimeout(hold, 100);
-        else {{ told.id = "told"; document.body.append(told); }}
-      }}
-      hold();"""
-    page = read_page(add_script(recording, script, tmp_path / "moments.html"))
-    assert f'<div id="told">{"".join(said.values())}</div>' in page
+WATCH = """
+const animator = viewer.animator, told = {}, button = document.querySelector("#player button");
+const slider = document.querySelector("#player input");
+const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+async function hold(moment) {
+  // Each moment is held for a while, before what the page says is taken down.
+  for (let k = 0; k < 3; k++) {
+    animator.seek(moment); animator.display_progress(moment); await wait(100);
+  }
+}
+function tell(name) {
+  told[name] = document.getElementById("phase").innerHTML
+    + document.getElementById("player").outerHTML;
+}
+(async () => {
+  animator.pause();
+  for (const moment of [0.5, 1.8, 2.0]) { await hold(moment); tell(moment); }
+  animator.seek(1.9); animator.display_progress(1.9); animator.play();
+  // A page that nobody sees draws as few pictures as it likes; a timer lets the animation go on.
+  const going = setInterval(() => animator.update(), 20);
+  await wait(1500); tell("end"); clearInterval(going);
+  animator.mixer.timeScale = 0.01; button.click();
+  await wait(300); tell("again");
+  animator.mixer.timeScale = 1.0; slider.value = 1.7; slider.dispatchEvent(new Event("input"));
+  await wait(300); tell("wound");
+  const page = document.createElement("pre");
+  page.id = "told"; page.textContent = JSON.stringify(told); document.body.append(page);
+})();
+"""
+"""What is done in a recording's page, and what its phase and its player say after each step."""
+
+
+@pytest.fixture(scope="module")
+def told(recording, tmp_path_factory):
+    """What the page says, as HTML, by what was done before."""
+    script = add_script(recording, WATCH, tmp_path_factory.mktemp("watched") / "page.html")
+    (text,) = re.findall('<pre id="told">(.*?)</pre>', read_page(script))
+    return json.loads(html.unescape(text))
+
+
+@pytest.mark.parametrize(
+    ("moment", "said"),
+    [
+        ("0.5", "<b>Looking</b><span></span><small>0.5 s</small>"),
+        ("1.8", "<b>Push 1</b><span>Because &lt;/script&gt; it must.</span><small>1.8 s</small>"),
+        ("2", "<b>Done</b><span></span><small>2.0 s</small>"),
+    ],
+)
+def test_tells_the_phase_of_each_moment(told, moment, said):
+    assert told[moment].startswith(said)
+
+
+def test_ends_with_what_was_done_last(told):
+    """All of the scene's parts are set back when the animation is over; its own time is not."""
+    assert "<b>Done</b><span></span><small>2.0 s</small>" in told["end"]
+    assert "Replay</button>" in told["end"]
+    assert "2.0 of 2.0 s</output>" in told["end"]
+
+
+def test_replays_from_the_beginning(told):
+    """At the end the button starts anew: at a hundredth of the speed it stays where it begins."""
+    assert "<b>Looking</b>" in told["again"]
+    assert "Pause</button>" in told["again"]
+
+
+def test_the_slider_winds_to_any_moment(told):
+    assert "<b>Push 1</b>" in told["wound"]
+    assert "<small>1.7 s</small>" in told["wound"]
+    assert "Play</button>" in told["wound"]
 
 
 def test_shows_the_color_scale_and_the_legend(recording, tmp_path):
@@ -88,41 +138,6 @@ def test_shows_the_color_scale_and_the_legend(recording, tmp_path):
     page = recording.read_text()
     assert looks_like_recording(recording)
     assert "a &lt;thing&gt;" in page
-
-
-def test_ends_with_what_was_done_last(recording, tmp_path):
-    """All of the scene's parts are set back when the animation is over; its own time is not."""
-    # A page that nobody sees draws as few pictures as it likes; a timer lets the animation go on.
-    nearly = (
-        "const a = viewer.animator; a.pause(); a.seek(1.9); a.display_progress(1.9); a.play(); "
-        "setInterval(() => a.update(), 20);"
-    )
-    page = read_page(add_script(recording, nearly, tmp_path / "end.html"))
-    assert "<b>Done</b><span></span><small>2.0 s</small>" in page
-    assert "Replay</button>" in page
-    assert "2.0 of 2.0 s</output>" in page
-
-
-def test_replays_from_the_beginning(recording, tmp_path):
-    """At the end the button starts anew: at a hundredth of the speed it stays where it begins."""
-    again = (
-        "const a = viewer.animator; a.pause(); a.seek(2.0); a.display_progress(2.0); "
-        "a.mixer.timeScale = 0.01; document.querySelector('#player button').click();"
-    )
-    page = read_page(add_script(recording, again, tmp_path / "again.html"))
-    assert "<b>Looking</b>" in page
-    assert "Pause</button>" in page
-
-
-def test_the_slider_winds_to_any_moment(recording, tmp_path):
-    wind = (
-        "const slider = document.querySelector('#player input'); slider.value = 1.7; "
-        "slider.dispatchEvent(new Event('input'));"
-    )
-    page = read_page(add_script(recording, wind, tmp_path / "wound.html"))
-    assert "<b>Push 1</b>" in page
-    assert "<small>1.7 s</small>" in page
-    assert "Play</button>" in page
 
 
 def test_the_close_up_follows_what_it_should(tmp_path):

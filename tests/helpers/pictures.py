@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+import shapely
 from scipy.spatial.transform import Rotation
 from shapely import Polygon
 
@@ -39,54 +40,88 @@ def paint(
     """A frame of prisms (outline (k, 2) in B, pose (3,), height, color), the lowest first."""
     rng = np.random.default_rng(seed)
     h, w = camera.height, camera.width
-    rows, columns = np.mgrid[0:h, 0:w]
+    rays, z_table = _cast_rays(camera)
+    rows, columns = np.ogrid[0:h, 0:w]
     light = 1 - shade * (columns / w - 0.3) ** 2 - shade * (rows / h) ** 2 / 2
     color = light[..., None] * np.array(table, dtype=float)
-    rays = camera.undistorted.rays(np.stack([columns, rows], -1).astype(float))
-    z_table = -camera.X_WC[2, 3] / (rays @ camera.X_WC[2, :3])
     z = z_table.copy()
     for outline, pose, height, tint in prisms:
         if shadow:
             soft = cv2.GaussianBlur(cover(camera, outline, pose, height, (0, -0.012)), (0, 0), 5)
             color *= (1 - shadow * soft)[..., None]
-        sides = cover(camera, outline, pose, height)
-        top = cover(camera, outline, pose, height, bottom=False)
-        color += sides[..., None] * (0.6 * np.array(tint) - color)
-        color += top[..., None] * (np.array(tint) - color)
-        z = np.where(sides > 0.5, z_table - height / 2, z)
-        z = np.where(top > 0.5, -(camera.X_WC[2, 3] - height) / (rays @ camera.X_WC[2, :3]), z)
+        # Sides and top are painted where the prism is alone: the rest of the picture is as it was.
+        part, sides = _cover_part(camera, outline, pose, height)
+        color[part] += sides[..., None] * (0.6 * np.array(tint) - color[part])
+        z[part] = np.where(sides > 0.5, z_table[part] - height / 2, z[part])
+        part, top = _cover_part(camera, outline, pose, height, bottom=False)
+        color[part] += top[..., None] * (np.array(tint) - color[part])
+        z_top = -(camera.X_WC[2, 3] - height) / (rays[part] @ camera.X_WC[2, :3])
+        z[part] = np.where(top > 0.5, z_top, z[part])
     color = np.clip(color + noise * rng.standard_normal(color.shape), 0, 255).astype(np.uint8)
     z = z + 0.0012 * rng.standard_normal(z.shape)
     return Frame(color, z.astype(np.float32) if depth else None, t)
 
 
+_RAYS: dict[int, tuple] = {}
+"""What `_cast_rays` found of the last cameras, by their `id`; each camera is held, too."""
+
+
+def _cast_rays(camera):
+    """The rays of all pixels (height, width, 3), and the table's depths (height, width), m."""
+    if id(camera) not in _RAYS:
+        rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
+        rays = camera.undistorted.rays(np.stack([columns, rows], -1).astype(float))
+        z_table = -camera.X_WC[2, 3] / (rays @ camera.X_WC[2, :3])
+        if len(_RAYS) > 2:
+            _RAYS.clear()
+        _RAYS[id(camera)] = camera, rays, z_table
+    return _RAYS[id(camera)][1:]
+
+
 def cover(camera, outline, pose, height, shift=(0.0, 0.0), bottom=True):
     """How much of each pixel of the undistorted picture a prism covers, or its top alone."""
+    covered = np.zeros((camera.height, camera.width))
+    part, fraction = _cover_part(camera, outline, pose, height, shift, bottom)
+    covered[part] = fraction
+    return covered
+
+
+def _cover_part(camera, outline, pose, height, shift=(0.0, 0.0), bottom=True):
+    """The same of a part of the picture, outside of which nothing is covered: its slices, too."""
     p_W = transform(pose, np.asarray(outline)) + shift
-    fine = np.zeros((camera.height * FINE, camera.width * FINE), np.uint8)
     levels = np.linspace(0, height, 2) if bottom else [height]
     rings = [
-        (camera.undistorted.project(np.column_stack([p_W, np.full(len(p_W), z)])) + 0.5) * FINE
-        - 0.5
-        for z in levels
+        camera.undistorted.project(np.column_stack([p_W, np.full(len(p_W), z)])) for z in levels
     ]
+    corners = np.concatenate(rings)
+    size = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(corners.min(axis=0)).astype(int) - 1, 0, size)
+    high = np.clip(np.ceil(corners.max(axis=0)).astype(int) + 2, low, size)
+    part = slice(low[1], high[1]), slice(low[0], high[0])
+    width, length = high - low
+    if not width * length:
+        return part, np.zeros((length, width))
+    rings = [(ring - low + 0.5) * FINE - 0.5 for ring in rings]
     polygons = list(rings)
     if bottom:
-        low, high = rings
-        for i in range(len(low)):
-            j = (i + 1) % len(low)
-            polygons.append(np.array([low[i], low[j], high[j], high[i]]))
+        lower, upper = rings
+        for i in range(len(lower)):
+            j = (i + 1) % len(lower)
+            polygons.append(np.array([lower[i], lower[j], upper[j], upper[i]]))
+    fine = np.zeros((length * FINE, width * FINE), np.uint8)
     for polygon in polygons:
         cv2.fillPoly(fine, [np.round(polygon * 2**SHIFT).astype(np.int32)], 255, shift=SHIFT)
-    return cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA) / 255.0
+    covered = cv2.resize(fine, (int(width), int(length)), interpolation=cv2.INTER_AREA) / 255.0
+    return part, covered
 
 
 def calc_outline_error(found: Polygon, true: Polygon) -> float:
     """Mean distance between two outlines, both ways, m."""
 
     def one_way(a, b):
-        points = [a.exterior.interpolate(s, normalized=True) for s in np.linspace(0, 1, 400)]
-        return np.mean([b.exterior.distance(p) for p in points])
+        fractions = np.linspace(0, 1, 400)
+        points = shapely.line_interpolate_point(a.exterior, fractions, normalized=True)
+        return shapely.distance(b.exterior, points).mean()
 
     return (one_way(found, true) + one_way(true, found)) / 2
 

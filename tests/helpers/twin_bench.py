@@ -24,8 +24,22 @@ from gridpush_drake.station.robot.robot import find_robot
 from gridpush_drake.station.scene.camera import make_camera
 from gridpush_drake.station.schema.scenario import PushScenario
 
+COARSE_BOOK = str(Path(__file__).with_name("coarse_book.yaml"))
+"""An object that is simulated fast."""
+
+COARSE_HAMMER = str(Path(__file__).with_name("coarse_hammer.yaml"))
+"""The shipped hammer with a third of its cells, for speed, too."""
+
 Spoiler = Callable[[float, bytes], list[bytes]]
 """Of the twin's time, s, and a message: what comes instead."""
+
+
+def make_book_scenario() -> PushScenario:
+    """A push of a book that the finger is near to; only exact loads, so that it is simulated fast."""
+    scenario = PushScenario(object=COARSE_BOOK, base="planar", object_pose=[0.55, 0.0, 0.0])
+    scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.08
+    scenario.pokes.distance = [0.05, 0.05]
+    return scenario
 
 
 class TwinBench:

@@ -273,7 +273,7 @@ def test_a_log_in_which_most_poses_jump_is_left_to_be_judged_as_a_whole() -> Non
     assert all(mask.all() for mask in find_jumps(obj, far))
 
 
-def test_what_was_refused_is_in_words_in_the_file_and_in_the_report(tmp_path) -> None:
+def test_what_was_refused_is_in_words_in_the_file_and_in_the_report(tmp_path, undrawn) -> None:
     obj, _, log = make_case()
     bad, spoiled = spoil(obj, log[:3], "flip")
     found = identify(Model(obj), bad)

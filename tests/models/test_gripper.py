@@ -42,7 +42,7 @@ class Grip:
         self.plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.002)
         self.inspector = scene_graph.model_inspector()
         MakeParser(self.plant).AddModelsFromUrl(
-            f"package://gridpush_drake/grippers/{name}/{name}.sdf"
+            f"package://gridpush_drake/grippers/{name}/{name}.urdf"
         )
         self.gripper = self.plant.GetModelInstanceByName("gripper")
         self.plant.WeldFrames(self.plant.world_frame(), self.plant.GetFrameByName("body"), X_WB)

@@ -213,3 +213,14 @@ def test_what_is_wrong_otherwise_is_drakes_to_say(tmp_path):
     check(missing)
     with pytest.raises(ScenarioError, match="nobody"):
         ProcessDirectives([missing], MakeParser(MultibodyPlant(0.0)))
+
+
+def test_a_scene_of_old_finds_the_models_by_the_names_of_their_old_files(tmp_path):
+    path = write(
+        tmp_path / "old.dmd.yaml",
+        rest="- add_model: {name: table, file: package://gridpush_drake/tables/round.sdf}\n",
+    )
+    check(include(path))
+    plant = MultibodyPlant(0.0)
+    ProcessDirectives([include(path)], MakeParser(plant))
+    assert plant.HasBodyNamed("table")

@@ -108,7 +108,7 @@ def test_without_the_meshes_nothing_is_missing(tmp_path):
 def test_models_that_are_not_there_are_passed_over(drake_models):
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.002)
-    MakeParser(plant).AddModels(str(find_models() / "tables/round.sdf"))
+    MakeParser(plant).AddModels(str(find_models() / "tables/round.urdf"))
     assert AddVisualMeshes(plant, scene_graph, drake_models) == []
 
 

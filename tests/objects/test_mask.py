@@ -161,7 +161,7 @@ def test_thin_and_corner_touching_masks_still_have_an_outline(tmp_path):
 
 
 def test_noise_is_traced_at_a_coarser_scale_instead_of_forever(tmp_path):
-    labels = (np.random.default_rng(0).random((1000, 1000)) < 0.6).astype(np.uint8)
+    labels = (np.random.default_rng(0).random((400, 400)) < 0.6).astype(np.uint8)
     obj = read(tmp_path / "n.png", labels, largest_piece=True)
     assert 100 <= obj.n <= 127
 

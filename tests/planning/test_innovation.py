@@ -81,8 +81,11 @@ def load_end(obj, sign, ratio=20.0):
     return CellParameters(0.5 * mass / mass.sum(), np.full(obj.n, 0.35), 0.4)
 
 
-def push_a_hammer(hammer, changes, seed, ratio=20.0):
-    """Pushes it to the goal; returns the loop's statuses after each decision, and the run."""
+def push_a_hammer(hammer, changes, seed, ratio=20.0, most=100):
+    """Pushes it to the goal; returns the loop's statuses after each decision, and the run.
+
+    The run ends after `most` pushes.
+    """
     world = ChangingWorld(Model(hammer, load_end(hammer, 1, ratio)), START, seed=seed, **NOISE)
     world.changes = changes
     loop = PushToGoalLoop(Model(hammer), RULES, options=ONE_LOOK)
@@ -92,7 +95,8 @@ def push_a_hammer(hammer, changes, seed, ratio=20.0):
         statuses.append(state.status)
 
     def is_over(state):
-        return state.status.mode in (ContactPointMode.REACHED, ContactPointMode.FAILED)
+        ended = state.status.mode in (ContactPointMode.REACHED, ContactPointMode.FAILED)
+        return ended or state.push_id > most
 
     run = run_loop(loop, world, is_over, obj=hammer, learn=Learner(), goal=GOAL, progress=note)
     return statuses, run
@@ -290,11 +294,12 @@ def test_an_object_whose_load_is_changed_is_poked_and_learned_anew(hammer, seed)
 def test_an_object_that_stays_the_same_is_pushed_as_if_nobody_judged(
     hammer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    statuses, run = push_a_hammer(hammer, {}, 0, ratio=3.0)
+    statuses, run = push_a_hammer(hammer, {}, 0, ratio=3.0, most=5)
     assert run.state.innovations.total == run.innovations.total == 0
     assert all(status.innovations == 0 and not status.surprise for status in statuses)
     monkeypatch.setattr(InnovationRecord, "note", lambda self, model, log: self)
-    unjudged, other = push_a_hammer(hammer, {}, 0, ratio=3.0)
+    unjudged, other = push_a_hammer(hammer, {}, 0, ratio=3.0, most=5)
+    assert len(run.log) >= 4
     assert [status.reason for status in statuses] == [status.reason for status in unjudged]
     for a, b in zip(run.log, other.log, strict=True):
         np.testing.assert_array_equal(a.poses_observed, b.poses_observed)

@@ -22,7 +22,11 @@ from gridpush_drake.planning.pregrasp.goals import ArmLimits
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
-from gridpush_drake.planning.pregrasp.weighing_planner import TiltTestPlanner, list_edges
+from gridpush_drake.planning.pregrasp.weighing_planner import (
+    TiltTestOptions,
+    TiltTestPlanner,
+    list_edges,
+)
 from gridpush_drake.planning.robot_status import PressStatus, PressStep, PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_placements, plan_press
@@ -55,6 +59,10 @@ CENTERS = np.array([[0.03, 0.01], [-0.03, 0.01], [-0.03, -0.01], [0.03, -0.01]])
 FREE_WAY = 0.02
 """How far the tip goes on freely, m, so that nobody takes the edge for supports."""
 TARGET = PressTarget((0.05, 0.0), (0.0, 0.0), 0.0, TOP, 0.008)
+COARSE = TiltTestOptions(
+    sequence=SequenceOptions(rules=PressRules(spacing=0.006, overhang_step=0.009))
+)
+"""Weighing with fewer places and overhangs that are tried, for speed."""
 SURFACE = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
 
 
@@ -132,10 +140,10 @@ def test_the_whole_finger_presses_on_the_object_unless_its_parts_are_too_narrow(
         assert rim.exterior.distance(shapely.Point(planned.target.place)) > 0.9 * rules.pose_error
     # A wide object is not pressed at its narrow end, though it would tell more.
     sure = np.diag([0.9, 0.008**2, 0.004**2, 0.1])
-    assert [choose_press(make_model(obj, sure)).planner.is_narrow for obj in (BAR, bar)] == [
-        False,
-        True,
-    ]
+    for obj, is_narrow in ((BAR, False), (bar, True)):
+        planner = TiltTestPlanner(obj, SURFACE)
+        planner.weighing = COARSE
+        assert choose_press(make_model(obj, sure), planner=planner).planner.is_narrow == is_narrow
 
 
 def test_a_part_is_pressed_that_has_little_room_for_the_tip():
@@ -486,6 +494,7 @@ def test_a_planner_weighs_where_the_other_gives_up():
     options = PreGraspOptions(max_pokes=0, min_pokes=0)
     plain = PreGraspPlanner(obj, surface, options)
     weighing = TiltTestPlanner(obj, surface, options)
+    weighing.weighing = COARSE
     inside = np.array([0.2, 0.0, 0.0])
     at_edge = np.array([0.4, 0.0, 0.0])
     for pose in (inside, at_edge):
@@ -640,6 +649,7 @@ def test_presses_that_weigh_nothing_suppose_a_heavier_object_and_end_at_last():
     at_edge = np.array([0.4, 0.0, 0.0])
     plain = PreGraspPlanner(obj, loop.planner.surface, options)
     weighing = TiltTestPlanner(obj, loop.planner.surface, options)
+    weighing.weighing = COARSE
     assert weighing.decide(at_edge, model).action == "weigh"
     stopped = PreGraspLoop(weighing, lambda *_: None)._choose_planner(state).decide(at_edge, model)
     expected = plain.decide(at_edge, model)

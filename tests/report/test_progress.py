@@ -58,7 +58,7 @@ def test_what_is_known_of_the_center_is_followed(run):
     np.testing.assert_allclose(right.lines[1].get_ydata(), progress.predicted * 1e3)
 
 
-def test_the_report_sets_predictions_and_fits_apart_and_links_the_recording(run):
+def test_the_report_sets_predictions_and_fits_apart_and_links_the_recording(run, undrawn):
     _, truth, log, estimates = run
     progress = calc_progress(estimates, log, truth)
     page = make_report(estimates[-1], log[:3], truth=truth, progress=progress)

@@ -113,9 +113,16 @@ def test_an_ideal_cameras_pose_is_found_at_the_next_look():
     assert calc_shown_age(late) == pytest.approx(2 / 30 + 0.005)
 
 
-def make_record():
-    task = FollowTask(read_scenario("slalom"))
-    record = task.make_record()
+@pytest.fixture(scope="module")
+def slalom():
+    """The task of the shipped slalom; nothing changes it."""
+    return FollowTask(read_scenario("slalom"))
+
+
+@pytest.fixture
+def record(slalom):
+    """A record of the task, as of a run that took the first half of its path."""
+    record = slalom.make_record()
     record.paths.append(PosePath([(0.58, -0.3, 1.57), (0.58, 0.0, 1.57)], 0.05))
     for k in range(10):
         record.times.append(20.0 + 0.1 * k)
@@ -126,21 +133,19 @@ def make_record():
     return record
 
 
-def test_a_record_says_how_far_off_the_path_and_how_near_to_a_post_it_was():
-    record = make_record()
+def test_a_record_says_how_far_off_the_path_and_how_near_to_a_post_it_was(slalom, record):
     assert isinstance(record, FollowRecord)
     assert record.calc_rms() == pytest.approx(0.003, abs=1e-4)
     assert record.distance == pytest.approx(0.01, abs=1e-4)
     assert record.turn == pytest.approx(0.0, abs=1e-9)
     assert record.steering_time == pytest.approx(0.9)
     assert 0 < record.calc_clearance() < 0.06
-    empty = FollowTask(read_scenario("slalom")).make_record()
+    empty = slalom.make_record()
     assert np.isnan(empty.calc_rms())
     assert empty.calc_clearance() == np.inf
 
 
-def test_the_summary_and_the_words_tell_it():
-    record = make_record()
+def test_the_summary_and_the_words_tell_it(record):
     record.last = FollowControlStatus(FollowMode.FAILED, "It is stuck.", FollowStatus.STUCK, 2)
     record.message = "It is stuck."
     record.limit_report.touched.add(("body", "post_0"))
@@ -156,15 +161,16 @@ def test_the_summary_and_the_words_tell_it():
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5e"])
-@pytest.mark.parametrize("inset", [0.0, 0.02])
-def test_a_region_that_was_found_in_squares_is_one_piece(robot, inset):
+def test_a_region_that_was_found_in_squares_is_one_piece(robot):
     scenario = PushScenario(directives=make_robot_directives(robot, grasping=False))
-    region = MakeFingerRegion(MakePushStation(scenario), inset)
+    station = MakePushStation(scenario)
     x, y = scenario.workspace.x, scenario.workspace.y
-    whole = box(x[0], y[0], x[1], y[1]).buffer(-inset)
-    assert region.area > 0.9 * whole.area
-    # straight across many squares
-    assert region.covers(LineString([whole.centroid, (x[0] + 0.05, y[0] + 0.05)]))
+    for inset in (0.0, 0.02):
+        region = MakeFingerRegion(station, inset)
+        whole = box(x[0], y[0], x[1], y[1]).buffer(-inset)
+        assert region.area > 0.9 * whole.area
+        # straight across many squares
+        assert region.covers(LineString([whole.centroid, (x[0] + 0.05, y[0] + 0.05)]))
 
 
 def test_the_steered_fingers_region_has_no_cracks_where_it_was_found_in_squares():

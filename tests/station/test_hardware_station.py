@@ -25,7 +25,7 @@ from gridpush_drake.station.schema.scenario_file import read_scenario
 from gridpush_drake.station.tasks.scene_task import SeparateTask
 from gridpush_drake.systems.base.messages import GraspCommand, PushPhase
 from gridpush_drake.systems.safety.guard_status import GuardMode
-from tests.helpers.twin_bench import TwinBench
+from tests.helpers.twin_bench import TwinBench, make_book_scenario
 
 MIN_SPEED = 0.05
 """rad/s of a joint in the middle of a push."""
@@ -44,17 +44,9 @@ NEAR = 1e-3
 """rad, of a joint that is where it is held."""
 
 
-def make_scenario():
-    """A push of a book that the finger is near to; only exact loads, so that it is simulated fast."""
-    scenario = PushScenario(object="open_book", base="planar", object_pose=[0.55, 0.0, 0.0])
-    scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.08
-    scenario.pokes.distance = [0.05, 0.05]
-    return scenario
-
-
 @pytest.fixture(scope="module")
 def bench():
-    return TwinBench(make_scenario(), IdentifyTask)
+    return TwinBench(make_book_scenario(), IdentifyTask)
 
 
 def test_it_has_the_ports_of_the_simulated_station_but_for_what_nobody_knows(bench):
@@ -64,7 +56,10 @@ def test_it_has_the_ports_of_the_simulated_station_but_for_what_nobody_knows(ben
             system.get_output_port(i).get_name() for i in range(system.num_output_ports())
         }
 
-    simulated, real = list_ports(MakePushStation(make_scenario())), list_ports(bench.task.station)
+    simulated, real = (
+        list_ports(MakePushStation(make_book_scenario())),
+        list_ports(bench.task.station),
+    )
     assert real[0] - simulated[0] == {"stop", "arm_status", "object.observation"}
     assert real[1] - simulated[1] == {"guard.status", "guard.position", "pusher.force"}
     assert simulated[0] <= real[0]
@@ -247,7 +242,7 @@ def test_a_fault_in_the_middle_of_a_push_stops_the_arm_and_holds_it(bench, chann
     posture = ArmPosture(bench.twin.world.setting.control_plant, ROBOT)
     tips = np.array([posture.calc_tip_pose(q).translation() for q in after])
     farthest = np.linalg.norm(tips - tips[0], axis=1).max()
-    assert farthest < (0.014 if spoil in COLLIDES else 0.4 * make_scenario().pokes.speed)
+    assert farthest < (0.014 if spoil in COLLIDES else 0.4 * make_book_scenario().pokes.speed)
     assert np.abs([v for time, _, v in bench.rows if time > fault.begun]).max() < 0.6
     # the object is not thrown: it comes to rest where the finger does
     assert np.isfinite(bench.task.read("object.pose")).all()
@@ -280,7 +275,7 @@ def test_a_robot_that_pauses_is_waited_for(bench, finished):
 
 @pytest.mark.slow
 def test_a_blocked_finger_stops_the_arm_which_then_presses_no_more_and_begins_again():
-    scenario = make_scenario()
+    scenario = make_book_scenario()
     scenario.truth.parts = [
         PartTruth(label=label, cell_mass=20.0) for label in (1, 2)
     ]  # no arm moves that
@@ -408,7 +403,7 @@ def test_nothing_goes_out_before_it_is_armed(bench):
 
 
 def make_panda_scenario():
-    scenario = make_scenario()
+    scenario = make_book_scenario()
     scenario.directives = make_robot_directives("panda", grasping=False)
     return scenario
 

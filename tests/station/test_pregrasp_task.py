@@ -35,11 +35,16 @@ def test_an_object_too_thick_for_the_gripper_is_refused():
         PreGraspTask(scenario)
 
 
-def test_a_toolbox_is_taken_by_its_handle_only_where_the_pads_hold_it_there():
-    """The fingers get in only along the handle; with all of the weight to one side they would be pried apart."""
+@pytest.fixture(scope="module")
+def task():
+    """The task of lifting a toolbox."""
     scenario = read_scenario(find_models() / "scenarios/grasp_heavy.yaml")
     scenario.object = "toolbox"
-    task = PreGraspTask(scenario)
+    return PreGraspTask(scenario)
+
+
+def test_a_toolbox_is_taken_by_its_handle_only_where_the_pads_hold_it_there(task):
+    """The fingers get in only along the handle; with all of the weight to one side they would be pried apart."""
     obj, pose, along = task.obj, np.array([0.451, 0.075, 0.281]), np.array([0.0, 0.095])
     part = min(task.planner.parts, key=lambda part: np.linalg.norm(part.p_BG - along))
     goal = PreGraspGoal(pose, part, 0.0, 0.0, 0.0, np.array([1.0, 0.0]))
@@ -54,11 +59,10 @@ def test_a_toolbox_is_taken_by_its_handle_only_where_the_pads_hold_it_there():
         assert task.planner.limits.can_grasp(goal, masses) == taken
 
 
-def test_what_stays_on_the_table_is_not_lifted():
-    task = PreGraspTask(PreGraspKind().make_scenario())
+def test_what_stays_on_the_table_is_not_lifted(task, monkeypatch):
     record = task.make_record()
     record.last, record.raised = PreGraspStatus(mode=PreGraspMode.HOLDING), 0.001
-    task.read = lambda name: np.zeros(3)
+    monkeypatch.setattr(task, "read", lambda name: np.zeros(3))
     assert task.judge(record, SimpleNamespace())[0] == "not_lifted"
 
 

@@ -297,7 +297,7 @@ def test_a_run_that_is_given_up_says_so_in_one_sentence(weighed):
     assert dict(PreGraspKind().make_summary(grasped).facts)["raised by"] == "0 mm"
 
 
-def test_the_files_of_a_weighed_run_make_the_same_model_again(weighed, tmp_path):
+def test_the_files_of_a_weighed_run_make_the_same_model_again(weighed, tmp_path, undrawn):
     record, scenario = weighed
     written = write_files(PreGraspKind(), tmp_path, scenario, record, None, force=False)
     assert tmp_path / "weighings.csv" in written

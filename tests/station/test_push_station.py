@@ -17,6 +17,7 @@ from gridpush_drake.station.schema.scenario import PushScenario
 from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
 from gridpush_drake.station.simulated.push_station import MakePushStation
 from gridpush_drake.systems.base.messages import PushCommand
+from tests.helpers.twin_bench import COARSE_HAMMER
 
 
 def advance_until_idle(simulator, station, command, limit=15.0):
@@ -33,7 +34,7 @@ def advance_until_idle(simulator, station, command, limit=15.0):
 
 @pytest.fixture(scope="module")
 def station():
-    return MakePushStation(PushScenario())
+    return MakePushStation(PushScenario(object=COARSE_HAMMER))
 
 
 @pytest.fixture

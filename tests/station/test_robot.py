@@ -30,7 +30,7 @@ from gridpush_drake.station.schema.scenario_file import read_scenario
 from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
 from gridpush_drake.station.simulated.push_station import MakePushStation
 from gridpush_drake.systems.base.messages import PushCommand
-from tests.helpers.twin_bench import TwinBench
+from tests.helpers.twin_bench import COARSE_HAMMER, TwinBench
 
 BASE = (0.05, -0.02, 0.08)
 """Of the second arm's base in the world, m."""
@@ -120,7 +120,8 @@ def test_the_second_arm_pushes_and_speaks_with_its_twin(second_arm):
     ],
 )
 def test_a_robot_that_comes_with_the_package_pushes_within_its_limits(name):
-    station = MakePushStation(PushScenario(directives=make_robot_directives(name, grasping=False)))
+    scene = make_robot_directives(name, grasping=False)
+    station = MakePushStation(PushScenario(object=COARSE_HAMMER, directives=scene))
     simulator = Simulator(station)
     context = simulator.get_mutable_context()
     station.SetStart(context)
@@ -225,7 +226,7 @@ def test_the_grippers_measures_are_those_that_grasps_are_planned_with():
 def test_a_tip_radius_that_is_not_the_models_is_refused(second_arm):
     folder = second_arm.parent / "finger"
     folder.mkdir()
-    (folder / "finger.sdf").write_text((find_models() / "fingers/rod/finger.sdf").read_text())
+    (folder / "finger.urdf").write_text((find_models() / "fingers/rod/finger.urdf").read_text())
     (folder / "finger.yaml").write_text("tip_frame: finger_tip\ntip_radius: 0.01")
     text = second_arm.read_text().replace(
         "package://gridpush_drake/fingers/rod", f"file://{folder}"
@@ -331,8 +332,8 @@ def test_an_arm_whose_joints_will_not_do_is_refused(second_arm, old, new, messag
 def test_a_gripper_that_does_not_open_as_drakes_controller_has_it_is_refused(tmp_path):
     wsg, scene = find_models() / "grippers/wsg_50", find_models() / "scenes/iiwa_grasp.dmd.yaml"
     (tmp_path / "gripper.yaml").write_text((wsg / "gripper.yaml").read_text())
-    (tmp_path / "wsg_50.sdf").write_text(
-        (wsg / "wsg_50.sdf").read_text().replace("<upper>0<", "<upper>0.01<")
+    (tmp_path / "wsg_50.urdf").write_text(
+        (wsg / "wsg_50.urdf").read_text().replace('upper="0"', 'upper="0.01"')
     )
     text = scene.read_text().replace("package://gridpush_drake/grippers/wsg_50", tmp_path.as_uri())
     (tmp_path / "scenario.yaml").write_text(f"object_pose: [0.54, -0.06, 0.0]\n{text}")

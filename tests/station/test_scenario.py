@@ -347,8 +347,8 @@ def directives(*files):
         ({"seed": "1"}, "seed is '1'; expected a whole number"),
         ({"directives": []}, "directives: there is no robot; expected a model"),
         (
-            {"directives": directives(("x", "package://gridpush_drake/no.sdf"))},
-            r"directives: .*no\.sdf",
+            {"directives": directives(("x", "package://gridpush_drake/no.urdf"))},
+            r"directives: .*no\.urdf",
         ),
     ],
 )

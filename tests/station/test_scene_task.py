@@ -258,7 +258,7 @@ def make_record(task, name):
 
 
 @pytest.mark.parametrize("name", ["separate", "rearrange"])
-def test_a_run_is_summarized_and_reported(name, tmp_path):
+def test_a_run_is_summarized_and_reported(name, tmp_path, undrawn):
     kind = TASK_KINDS[name]
     task = kind.station(kind.make_scenario())
     task.begin(0)
@@ -296,7 +296,7 @@ def learn_one_push(task, record):
     return belief.identifications
 
 
-def test_what_was_learned_of_each_object_is_drawn_recorded_and_written(tmp_path):
+def test_what_was_learned_of_each_object_is_drawn_recorded_and_written(tmp_path, undrawn):
     """The colors in Meshcat are those of the models that the folder holds, and no object is gray."""
     pytest.importorskip("rosbags")
     kind = TASK_KINDS["separate"]

@@ -11,11 +11,12 @@ from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.world import PushWorld
 from gridpush_drake.station.schema.scenario import PushScenario
 from gridpush_drake.station.simulated.world import StationWorld
+from tests.helpers.twin_bench import COARSE_BOOK
 
 
 @pytest.fixture(scope="module")
 def world():
-    return StationWorld(PushScenario(object="toolbox"))
+    return StationWorld(PushScenario(object=COARSE_BOOK))
 
 
 def test_the_robot_makes_a_push_and_the_object_is_put_back(world):
@@ -49,9 +50,9 @@ def test_a_push_out_of_reach_is_refused_with_the_robots_reason(world):
 
 
 @pytest.mark.slow
-def test_a_closed_loop_reaches_its_goal_in_a_station(world):
+def test_a_closed_loop_reaches_its_goal_in_a_station():
+    world = StationWorld(PushScenario(object="toolbox"))
     x, y, theta = world.truth.pose
-    world.put((x, y, theta))
     obj = world.station.obj
     goal = np.array([x + 0.02, y + 0.05, theta + 0.2])
     run = push_to_goal(world, Model(obj), goal, learner=None)
@@ -60,7 +61,7 @@ def test_a_closed_loop_reaches_its_goal_in_a_station(world):
 
 
 def test_an_object_that_is_gone_is_not_pushed():
-    world = StationWorld(PushScenario(object="toolbox"))
+    world = StationWorld(PushScenario(object=COARSE_BOOK))
     world.put((0.6, 3.0, 0.0))
     assert world.truth.fallen
     assert world.observe() is None

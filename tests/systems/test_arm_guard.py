@@ -647,7 +647,7 @@ def test_told_of_a_silence_it_stays_at_what_it_commanded_last_and_calls_that_no_
 
 # Sequences of faults, drawn at random.
 
-PERIODS = int(os.environ.get("GRIDPUSH_GUARD_PERIODS", "10000"))
+PERIODS = int(os.environ.get("GRIDPUSH_GUARD_PERIODS", "4000"))
 """How many updates of a guard the drawn sequences have together, about."""
 
 LENGTH = 200

@@ -31,7 +31,12 @@ from gridpush_drake.perception.images.pixel_kernels import (
     calc_levels,
     sum_blocks,
 )
-from gridpush_drake.perception.images.table_plane import TO_DEVIATION, TablePlane, make_basis
+from gridpush_drake.perception.images.table_plane import (
+    TO_DEVIATION,
+    TablePlane,
+    calc_polynomial,
+    make_basis,
+)
 
 Image = NDArray[np.float32]
 Cues = Literal["both", "color", "depth"]
@@ -263,12 +268,9 @@ def fit_table_color(lab: Image, table: Mask, order: int) -> tuple[Image, Array]:
     # A fraction of the pixels is enough for so few coefficients.
     rows, columns = lab.shape[:2]
     stride = max(1, round(np.sqrt(rows * columns) / FIT_SIDE))
-    some = np.zeros(table.shape, dtype=bool)
-    some[::stride, ::stride] = True
-    some &= table
-    basis = make_basis(lab.shape, order)
-    A = basis[some]
-    colors = lab[some].astype(np.float64)
+    some = table[::stride, ::stride]
+    A = make_basis(lab.shape, order, stride)[some]
+    colors = lab[::stride, ::stride][some].astype(np.float64)
 
     weight = np.ones(len(A))
     fitted: Array = np.zeros((A.shape[1], 3))
@@ -287,7 +289,7 @@ def fit_table_color(lab: Image, table: Mask, order: int) -> tuple[Image, Array]:
         deviation = np.maximum(scatter, MIN_COLOR_DEVIATION)
         relative = off / (CAUCHY_SCALE * deviation)
         weight = 1 / (1 + (relative**2).sum(axis=1))
-    return (lab - basis @ fitted).astype(np.float32), deviation
+    return (lab - calc_polynomial(lab.shape, order, fitted)).astype(np.float32), deviation
 
 
 def score_pixels(

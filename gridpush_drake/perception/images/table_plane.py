@@ -159,31 +159,58 @@ def make_rays(camera: Camera) -> Array:
     return camera.rays(np.stack([columns, rows], axis=-1).astype(np.float64))
 
 
-def make_basis(shape: tuple[int, ...], order: int) -> Array:
+def make_basis(shape: tuple[int, ...], order: int, stride: int = 1) -> Array:
     """Makes the monomials of a polynomial over a picture.
 
     Args:
         shape: height and width of the picture, and anything after them.
         order: degree of the polynomial.
+        stride: of so many rows and columns only the first is taken.
 
     Returns:
         (height, width, m) monomials of total degree up to `order`, with the picture's sides at -1
-        and 1.
+        and 1; with a stride, as many rows and columns as are taken.
     """
     # Powers are taken of a row and a column only, which is a hundred times less work than of every
     # pixel.
-    y = np.linspace(-1, 1, shape[0])
-    x = np.linspace(-1, 1, shape[1])
-    powers = []
-    for i in range(order + 1):
-        for j in range(order + 1 - i):
-            powers.append((i, j))
+    y, x = (side[::stride] for side in _make_sides(shape))
+    powers = _list_powers(order)
     basis = np.empty((len(y), len(x), len(powers)))
     for at, (i, j) in enumerate(powers):
         columns = x[None, :] ** i
         rows = y[:, None] ** j
         np.multiply(columns, rows, out=basis[..., at])
     return basis
+
+
+def calc_polynomial(shape: tuple[int, ...], order: int, coefficients: Array) -> Array:
+    """Calculates polynomials over a whole picture: rows by columns, without its monomials.
+
+    Args:
+        shape: height and width of the picture, and anything after them.
+        order: degree of the polynomials.
+        coefficients: (m, c) of the monomials of `make_basis`, of each of c polynomials.
+
+    Returns:
+        (height, width, c) their values.
+    """
+    y, x = _make_sides(shape)
+    # By the powers of y and x, and the polynomial.
+    table = np.zeros((order + 1, order + 1, coefficients.shape[1]))
+    for at, (i, j) in enumerate(_list_powers(order)):
+        table[j, i] = coefficients[at]
+    of_rows = np.tensordot(np.vander(y, order + 1, increasing=True), table, axes=1)
+    return np.asarray(np.vander(x, order + 1, increasing=True) @ of_rows)
+
+
+def _make_sides(shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """Makes the rows' and the columns' places in a picture, from -1 to 1."""
+    return np.linspace(-1, 1, shape[0]), np.linspace(-1, 1, shape[1])
+
+
+def _list_powers(order: int) -> list[tuple[int, int]]:
+    """Lists the powers of x and y in each monomial of total degree up to `order`."""
+    return [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
 
 
 def _find_plane(rays: Array, z: Array) -> tuple[Array, float]:

@@ -15,6 +15,7 @@ from gridpush_drake.station.tasks.identify_task import IdentifyTask
 from gridpush_drake.station.tasks.task import TaskStatus
 from gridpush_drake.systems.robot_records import ArmCommand, ArmStatus, PoseObservation
 from tests.helpers.link_bench import LinkBench
+from tests.helpers.twin_bench import COARSE_BOOK
 
 NEAR = 1e-3
 """rad, of a joint that is where it is held."""
@@ -27,7 +28,7 @@ MOVING = 0.8
 
 
 def make_scenario():
-    scenario = PushScenario(object="open_book", object_pose=[0.55, 0.0, 0.0], base="planar")
+    scenario = PushScenario(object=COARSE_BOOK, object_pose=[0.55, 0.0, 0.0], base="planar")
     scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.06
     scenario.simulation.answer_delay = None
     return scenario
