@@ -10,6 +10,7 @@ from math import ceil, cos, sin
 
 import numpy as np
 from numpy.typing import ArrayLike
+from shapely import MultiPolygon, Polygon
 
 from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import MAX_NUMBER, PushError, SimulationError, require_positive
@@ -305,6 +306,13 @@ class Push(Frozen):
         """
         times = np.asarray(times, dtype=np.float64)
         return np.column_stack([np.interp(times, self.t, self.xy[:, axis]) for axis in (0, 1)])
+
+    def find_area(self, time: float) -> Polygon | MultiPolygon:
+        """Finds what the pusher covers at a time, s from the beginning; world frame, m."""
+        tip = self.tip_at([time])[0]
+        if self.shape is None:
+            return PusherShape.disc(self.radius).at([*tip, 0.0])
+        return self.shape.at([*tip, self.yaw_at([time])[0]])
 
     def distance_at(self, times: ArrayLike) -> Array:
         """Calculates how far the pusher has gone along its path, (K,) m, at times (K,), s."""
