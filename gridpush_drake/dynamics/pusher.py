@@ -180,8 +180,17 @@ class Pusher:
             raise PlanningError(f"clearance is {self.clearance!r}; expected a number >= 0 (m)")
 
     def choose_radius(self, objects: GridObject | Sequence[GridObject]) -> float:
-        """Chooses the radius, m, with which it pushes an object or objects."""
+        """Chooses the radius, m, with which it pushes an object or objects.
+
+        That of a shape is the radius of its round corners.
+        """
+        if self.shape is not None:
+            return self.shape.radius
         return choose_pusher_radius(objects, self.radius)
+
+    def choose_reach(self, objects: GridObject | Sequence[GridObject]) -> float:
+        """Chooses how far it reaches from its center at most, m: the radius of a disc."""
+        return self.choose_radius(objects) if self.shape is None else self.shape.reach
 
 
 DEFAULT_PUSHER = Pusher()
