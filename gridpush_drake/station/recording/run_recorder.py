@@ -129,7 +129,7 @@ class RunRecorder:
         for sample in record.stream:
             tip = np.asarray(sample.tip, float)
             if np.isfinite(tip).all():
-                self._add(sample.t, "/tip_pose", self._make_pose(sample.t, tip, 0.0))
+                self._add(sample.t, "/tip_pose", self._make_pose(sample.t, tip, sample.yaw))
             x, y, theta = (float(number) for number in sample.pose)
             self._add_pose(sample.t, OBJECT_FRAME, x, y, theta)
         # `rosbags` writes a folder of its own; what is wanted is the one file in it.
