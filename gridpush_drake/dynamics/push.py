@@ -231,8 +231,8 @@ class Push(Frozen):
             angle: of the motion from the inward normal there, rad, counterclockwise.
             distance: to move, m.
             radius: of the disc, or of the shape's round corners, m.
-            shape: of a pusher that is no disc; None of a disc. Its x axis points where it moves, and its origin
-                moves towards the place on the outline.
+            shape: of a pusher that is no disc; None of a disc. Its x axis points where it moves,
+                and its origin moves towards the place on the outline.
             duration: s; or else `speed`, m/s.
             pose: (3,) X_WB of the object, m and rad.
             clearance: gap between pusher and outline at the beginning, m; that of a shape is up to

@@ -370,7 +370,14 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         yaw = 0.0
         if self._pusher_yaw.HasValue(context):
             yaw = float(self._pusher_yaw.Eval(context)[0])
-        sample = Sample(context.get_time(), pose, pusher[:3], pusher[3:], force, yaw)
+        sample = Sample(
+            context.get_time(),
+            pose=pose,
+            tip=pusher[:3],
+            velocity=pusher[3:],
+            force=force,
+            yaw=yaw,
+        )
         segmenter, episode = advance(now.segmenter, sample, self._segmenter)
         logged = self._log_push(replace(now, segmenter=segmenter), episode)
         learned = self._learn(logged, context.get_time())

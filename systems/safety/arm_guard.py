@@ -130,8 +130,8 @@ class ArmGuard(AbstractStateSystem[GuardState]):
       every status.
     * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s,
       as measured.
-    * pusher_yaw: vector of 1, angle by which the tool is turned about the vertical, rad; it need not
-      be connected if the pusher is round.
+    * pusher_yaw: vector of 1, angle by which the tool is turned about the vertical, rad; it need
+      not be connected if the pusher is round.
     * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN while the object is not
       seen.
     * stop: vector of 1; any value but 0 stops the arm. `BY_USER` says that the user asked for it;

@@ -79,8 +79,8 @@ class ObjectWatch:
     Attributes:
         outline: outline of the object in its body frame B, m.
         height: height of the object's top above the table, m, or of the highest object's.
-        tip_radius: radius of the finger's tip, a sphere, m; of a pusher of another shape, how far it
-            reaches from its frame's origin.
+        tip_radius: radius of the finger's tip, a sphere, m; of a pusher of another shape, how far
+            it reaches from its frame's origin.
         shape: of a pusher that is no disc; None of a disc.
         noise: greatest distance that a point of an object at rest may seem to move, m.
         lag: longest time from when a picture is taken until its pose comes, s.

@@ -5,16 +5,20 @@ than the object; the pusher is the convex hull of it, seen from above. So the mo
 says how wide it is, and no file has to say it again.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import shapely
+import shapely.affinity
 from pydrake.geometry import Box, SceneGraphInspector, Sphere
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import ScenarioError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.station.robot.robot import GripperTip, Robot
 
 CORNER_RADIUS = 5e-4
@@ -22,6 +26,9 @@ CORNER_RADIUS = 5e-4
 
 HULL_DETAIL = 1e-5
 """Distance by which the hull may be simplified, m."""
+
+HALF_TURN = 180.0
+"""Degrees of half a turn."""
 
 SYMMETRY_TOLERANCE = 0.01
 """Fraction of its area by which the hull may change in half a turn."""
@@ -53,8 +60,7 @@ def MeasureGripperTip(
     model = robot.finger_model
     gripper = plant.GetModelInstanceByName(model)
     context = plant.CreateDefaultContext()
-    positions = np.zeros(plant.num_positions(gripper))
-    plant.SetPositions(context, gripper, positions)
+    plant.SetPositions(context, gripper, np.zeros(plant.num_positions(gripper)))  # closed
     tip = plant.GetFrameByName(robot.finger.tip_frame, gripper)
     touching: list[BaseGeometry] = []
     depth = 0.0
@@ -62,22 +68,14 @@ def MeasureGripperTip(
         body = plant.get_body(index)
         X_PB = body.body_frame().CalcPose(context, tip)
         for geometry in plant.GetCollisionGeometriesForBody(body):
-            X_PG = X_PB @ inspector.GetPoseInFrame(geometry)
             shape = inspector.GetShape(geometry)
             if not isinstance(shape, Box | Sphere):
                 raise ScenarioError(
                     f"directives: collision {inspector.GetName(geometry)} of {model} is a "
                     f"{type(shape).__name__}; expected boxes and spheres of a gripper that pushes"
                 )
+            corners, margin = _list_corners(shape, X_PB @ inspector.GetPoseInFrame(geometry))
             # z points down, from where the object's top is to where the table is
-            if isinstance(shape, Sphere):
-                corners = X_PG.translation()[None]
-                margin = shape.radius()
-            else:
-                half = np.array([shape.width(), shape.depth(), shape.height()]) / 2
-                signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
-                corners = np.asarray(X_PG @ (signs * half).T).T
-                margin = 0.0
             low = corners[:, 2].max() + margin
             high = corners[:, 2].min() - margin
             depth = max(depth, float(low))
@@ -85,18 +83,35 @@ def MeasureGripperTip(
                 # seen from above, x of the pusher's frame is against the tool's
                 seen = corners[:, :2] * (-1.0, 1.0)
                 touching.append(shapely.MultiPoint(seen).convex_hull.buffer(margin))
-    hull = shapely.union_all(touching).convex_hull
-    turned = shapely.affinity.rotate(hull, 180.0, origin=(0.0, 0.0))
-    if not isinstance(hull, Polygon):
+    if not touching:
         raise ScenarioError(
             f"pusher is gripper, but no collision geometry of {model} is as low as the object's "
             f"top, {top:g} m; expected a lower finger.push_height"
         )
+    return GripperTip(_make_shape(touching, model), depth)
+
+
+def _list_corners(shape: Box | Sphere, X_PG: RigidTransform) -> tuple[Array, float]:
+    """Lists corners (k, 3) of a box, or a sphere's center, in P, and what is about them, m."""
+    if isinstance(shape, Sphere):
+        return X_PG.translation()[None], float(shape.radius())
+    half = np.array([shape.width(), shape.depth(), shape.height()]) / 2
+    signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1)
+    return np.asarray(X_PG @ (half[:, None] * signs)).T, 0.0
+
+
+def _make_shape(touching: Sequence[BaseGeometry], model: str) -> PusherShape:
+    """Makes the hull of what touches, in the pusher's frame, which is the same after half a turn.
+
+    Raises:
+        ScenarioError: it is not.
+    """
+    hull = shapely.union_all(list(touching)).convex_hull
+    turned = shapely.affinity.rotate(hull, HALF_TURN, origin=(0.0, 0.0))
     if hull.symmetric_difference(turned).area > SYMMETRY_TOLERANCE * hull.area:
         raise ScenarioError(
             f"pusher is gripper, but the closed fingers of {model} look different after half a "
             "turn; expected tip_frame of its gripper.yaml in their middle"
         )
     outline = orient((hull | turned).convex_hull.simplify(HULL_DETAIL))
-    corners = shapely.get_coordinates(outline)[:-1]
-    return GripperTip(PusherShape.polygon(corners, CORNER_RADIUS), depth)
+    return PusherShape.polygon(shapely.get_coordinates(outline)[:-1], CORNER_RADIUS)

@@ -520,8 +520,8 @@ def AddRobot(
 ) -> RobotInPlant:
     """Adds a robot, and nothing else of its scene, to a plant before Finalize.
 
-    A gripper becomes one rigid body, closed, with the frames that its measures name, so that the plant's positions
-    are those of the arm alone.
+    A gripper becomes one rigid body, closed, with the frames that its measures name, so that the
+    plant's positions are those of the arm alone.
 
     Args:
         plant: the plant to which the robot is added.
