@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from gridpush_drake.display.shapes import ELLIPSE_SIGMAS, make_ellipse
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import OutputError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.files import check_writable, write_whole
@@ -93,8 +94,25 @@ class RerunScene:
         """Says when all that is shown from now on is so, s."""
         self._stream.set_time(TIMELINE_NAME, duration=time)
 
-    def show_tip(self, p_WP: Array, radius: float) -> None:
-        """Shows the finger's tip as a ball at p_WP (3,), m, of a radius, m."""
+    def show_tip(
+        self, p_WP: Array, radius: float, shape: PusherShape | None = None, yaw: float = 0.0
+    ) -> None:
+        """Shows what pushes at p_WP (3,), m: a ball of a radius, m, or the edge of a shape.
+
+        Args:
+            p_WP: (3,) center of the ball, or origin of the shape's frame, m.
+            radius: of the ball, m.
+            shape: of a pusher that is no disc.
+            yaw: angle of the shape's frame, rad.
+        """
+        if shape is not None:
+            covered = shape.at([*p_WP[:2], yaw])
+            edges = [
+                lift(np.array(part.exterior.coords), float(p_WP[2]))
+                for part in getattr(covered, "geoms", [covered])
+            ]
+            self._log("world/tip", self._rr.LineStrips3D(edges, colors=[TIP_COLOR]))
+            return
         tip = self._rr.Points3D(
             positions=[p_WP],
             radii=[radius],

@@ -264,6 +264,14 @@ def AddGhost(
     _AddMesh(meshcat, f"{path}/edge", edge, color)
 
 
+def AddPrism(
+    meshcat: Meshcat, path: str, area: Polygon | MultiPolygon, height: float, color: Rgba
+) -> None:
+    """Draws the prism of an area, m, from z = 0 to `height`, m."""
+    mesh = trimesh.creation.extrude_triangulation(*triangulate_area(area), height)
+    _AddMesh(meshcat, path, mesh, color)
+
+
 def AddArrow(meshcat: Meshcat, path: str, start: ArrayLike, end: ArrayLike, height: float) -> None:
     """Draws a push as a flat arrow.
 

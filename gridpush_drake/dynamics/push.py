@@ -9,17 +9,23 @@ from functools import cached_property
 from math import ceil, cos, sin
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
+from shapely import MultiPolygon, Polygon
 
 from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import MAX_NUMBER, PushError, SimulationError, require_positive
 from gridpush_drake.frozen import Frozen
-from gridpush_drake.geometry.se2 import Array, IntArray, check_vector, rotate
+from gridpush_drake.geometry.se2 import Array, IntArray, check_vector, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 
 TURN_SAMPLE = 0.005
 """Largest angle between two samples of a push about a center, rad: the chord of an arc of radius
 0.3 m is then 1 µm off it."""
+
+
+START_TOLERANCE = 1e-4
+"""How much farther from an outline than asked a shape may begin to push it, m."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -211,6 +217,7 @@ class Push(Frozen):
         distance: float,
         *,
         radius: float,
+        shape: PusherShape | None = None,
         duration: float | None = None,
         speed: float | None = None,
         pose: ArrayLike = (0.0, 0.0, 0.0),
@@ -223,10 +230,13 @@ class Push(Frozen):
                 modulo the perimeter.
             angle: of the motion from the inward normal there, rad, counterclockwise.
             distance: to move, m.
-            radius: of the disc, m.
+            radius: of the disc, or of the shape's round corners, m.
+            shape: of a pusher that is no disc; None of a disc. Its x axis points where it moves,
+                and its origin moves towards the place on the outline.
             duration: s; or else `speed`, m/s.
             pose: (3,) X_WB of the object, m and rad.
-            clearance: gap between disc and outline at the beginning, m.
+            clearance: gap between pusher and outline at the beginning, m; that of a shape is up to
+                `START_TOLERANCE` wider.
 
         Returns:
             The push. Its `start_tangent` is that of the edge; so `Jacobian.contact_location` is the
@@ -248,6 +258,13 @@ class Push(Frozen):
             duration = distance / speed
         require_positive(PushError, "push: ", duration=duration)
         point, tangent, normal = obj.edges.at(arc_length)
+        if shape is not None:
+            heading = float(np.arctan2(-normal[1], -normal[0]) + angle)
+            begin = _find_clear_start(obj, shape, point, heading, clearance)
+            start = transform(q, begin[None])[0]
+            yaw = float(q[2] + heading)
+            velocity = distance / duration * np.array([cos(yaw), sin(yaw)])
+            return cls(start, velocity, duration, radius, shape=shape, yaw=yaw)
         # In plain numbers, for arrays of two take longer: planning makes thousands of pushes.
         x, y, theta = q.tolist()
         px, py = (point + (radius + clearance) * normal).tolist()
@@ -306,10 +323,48 @@ class Push(Frozen):
         times = np.asarray(times, dtype=np.float64)
         return np.column_stack([np.interp(times, self.t, self.xy[:, axis]) for axis in (0, 1)])
 
+    def find_area(self, time: float) -> Polygon | MultiPolygon:
+        """Finds what the pusher covers at a time, s from the beginning; world frame, m."""
+        tip = self.tip_at([time])[0]
+        if self.shape is None:
+            return PusherShape.disc(self.radius).at([*tip, 0.0])
+        return self.shape.at([*tip, self.yaw_at([time])[0]])
+
     def distance_at(self, times: ArrayLike) -> Array:
         """Calculates how far the pusher has gone along its path, (K,) m, at times (K,), s."""
         gone = np.append(0.0, np.cumsum(self.piece_lengths))
         return np.interp(np.asarray(times, dtype=np.float64), self.t, gone)
+
+
+def _find_clear_start(
+    obj: GridObject, shape: PusherShape, point: Array, heading: float, clearance: float
+) -> Array:
+    """Finds where a shape begins that comes straight towards a place on an outline, from afar.
+
+    As long as it is farther than `clearance` from the outline, it may go on by the difference.
+
+    Args:
+        obj: the object.
+        shape: the pusher's; its x axis points where it moves.
+        point: (2,) the place, body frame, m.
+        heading: direction of the motion in the body frame, rad.
+        clearance: gap at the beginning, m.
+
+    Returns:
+        (2,) the origin of the shape's frame, body frame, m.
+    """
+    ahead = np.array([cos(heading), sin(heading)])
+    core = rotate(heading, shape.core)
+    reach = shape.reach + clearance
+    x0, y0, x1, y1 = obj.outline.bounds
+    at = point - (np.hypot(x1 - x0, y1 - y0) + 2 * reach) * ahead
+    while True:
+        points = shapely.multipoints(core + at)
+        gap = obj.outline.distance(points.convex_hull if shape.joined else points)
+        gap -= shape.radius + clearance
+        if gap <= START_TOLERANCE:
+            return at
+        at = at + gap * ahead
 
 
 def _check_samples(times: Array, path: Array) -> None:

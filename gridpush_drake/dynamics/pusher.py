@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
-from shapely import Polygon
+from shapely import MultiPoint, MultiPolygon, Polygon
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import (
@@ -22,7 +22,7 @@ from gridpush_drake.errors import (
     require_positive,
 )
 from gridpush_drake.frozen import Frozen
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.objects.grid_object import GridObject
 
 DEFAULT_PUSHER_RADIUS = 0.008
@@ -124,6 +124,18 @@ class PusherShape(Frozen):
         """The farthest point from T's origin, m."""
         return float(np.linalg.norm(self.core, axis=1).max()) + self.radius
 
+    @cached_property
+    def area(self) -> Polygon | MultiPolygon:
+        """All that it covers, m, frame T; its round corners are regular polygons."""
+        points = MultiPoint(self.core)
+        covered = (points.convex_hull if self.joined else points).buffer(self.radius)
+        assert isinstance(covered, Polygon | MultiPolygon)
+        return covered
+
+    def at(self, pose: ArrayLike) -> Polygon | MultiPolygon:
+        """Returns what it covers with its frame at X_WT (3,), m and rad; world frame, m."""
+        return transform_shape(pose, self.area)
+
 
 def _check_polygon(corners: Array) -> None:
     """Raises PushError where corners (K, 2) are no convex polygon, counterclockwise."""
@@ -168,8 +180,17 @@ class Pusher:
             raise PlanningError(f"clearance is {self.clearance!r}; expected a number >= 0 (m)")
 
     def choose_radius(self, objects: GridObject | Sequence[GridObject]) -> float:
-        """Chooses the radius, m, with which it pushes an object or objects."""
+        """Chooses the radius, m, with which it pushes an object or objects.
+
+        That of a shape is the radius of its round corners.
+        """
+        if self.shape is not None:
+            return self.shape.radius
         return choose_pusher_radius(objects, self.radius)
+
+    def choose_reach(self, objects: GridObject | Sequence[GridObject]) -> float:
+        """Chooses how far it reaches from its center at most, m: the radius of a disc."""
+        return self.choose_radius(objects) if self.shape is None else self.shape.reach
 
 
 DEFAULT_PUSHER = Pusher()

@@ -361,7 +361,7 @@ def _parse_row(path: Path, line: int, cells: dict[str, str], pose_columns: tuple
         overhang=hangs_over,
         table=table,
         yaw=None if yaw is None else yaw[0],
-        shape=_read_shape(path, line, cells.get(PUSHER_COLUMN, "").strip()),
+        shape=read_shape(path, line, cells.get(PUSHER_COLUMN, "").strip()),
     )
 
 
@@ -394,7 +394,7 @@ def _read_table_top(path: Path, line: int, cell: str) -> Array | None:
     return np.asarray(orient(polygon).exterior.coords)[:-1, :2]
 
 
-def _read_shape(path: Path, line: int, cell: str) -> PusherShape | None:
+def read_shape(path: Path, line: int, cell: str) -> PusherShape | None:
     """Reads a pusher's shape; None of an empty cell."""
     if is_empty(cell):
         return None
@@ -568,7 +568,7 @@ def write_pushes(
     text = [] if table is None else [_describe_table(table)]
     for seen in pushes:
         flag = [str(int(seen.overhang))] if with_overhang else []
-        shape = [_describe_shape(seen.push.shape)] if shaped else []
+        shape = [describe_shape(seen.push.shape)] if shaped else []
         for t, cells in _make_rows(seen, len(forces)):
             yaw = [] if not shaped else [""]
             if seen.push.shape is not None:
@@ -586,8 +586,8 @@ def _describe_table(corners: Array) -> str:
     return f"POLYGON (({points}))"
 
 
-def _describe_shape(shape: PusherShape | None) -> str:
-    """Writes a pusher's shape as `_read_shape` reads it, exact to the last bit; "" of a disc."""
+def describe_shape(shape: PusherShape | None) -> str:
+    """Writes a pusher's shape as `read_shape` reads it, exact to the last bit; "" of a disc."""
     if shape is None:
         return ""
     places = [f"{x!r} {y!r}" for x, y in shape.core.tolist()]

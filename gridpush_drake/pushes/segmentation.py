@@ -27,6 +27,7 @@ import numpy as np
 from shapely import LineString
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import GridPushError, PushLogError
 from gridpush_drake.geometry.se2 import Array, transform_back, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
@@ -58,6 +59,7 @@ class Sample(NamedTuple):
         tip: p_WP of the tip's center, m.
         velocity: v_WP of the tip, m/s.
         force: on the tip, N, with whatever offset it has; not finite where none was measured.
+        yaw: angle of the pusher's frame, rad; 0 of a disc.
     """
 
     t: float
@@ -65,6 +67,7 @@ class Sample(NamedTuple):
     tip: Numbers
     velocity: Numbers
     force: Numbers = NOT_FELT
+    yaw: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -254,14 +257,18 @@ def name_push(count: int) -> str:
 
 
 def make_observed_push(
-    episode: TipMotion, obj: GridObject, radius: float, name: str, options: RecordOptions
+    episode: TipMotion,
+    obj: GridObject,
+    pusher: float | PusherShape,
+    name: str,
+    options: RecordOptions,
 ) -> ObservedPush | None:
     """Makes a push log's entry.
 
     Args:
         episode: a motion of the tip that may be a push.
         obj: the object.
-        radius: radius of the tip, m.
+        pusher: radius of the tip, m, or the shape of a pusher that is no disc.
         name: name of the push.
         options: how a push is written down.
 
@@ -274,9 +281,11 @@ def make_observed_push(
     t, xy = trim_path(episode.path, options.still)
     if pose is None or len(t) < 2:
         return None
+    shape = pusher if isinstance(pusher, PusherShape) else None
+    reach = pusher.reach if isinstance(pusher, PusherShape) else pusher
     traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
     distance = obj.outline.distance(LineString(transform_back(pose, xy)))
-    if traveled[-1] < options.min_distance or distance > radius + options.reach:
+    if traveled[-1] < options.min_distance or distance > reach + options.reach:
         return None
 
     # The tip stands at the end for as long as the object may slide on.
@@ -301,7 +310,13 @@ def make_observed_push(
     t, xy = thin_path(t, xy, kept, options.path_tolerance)
     return ObservedPush(
         name=name,
-        push=Push.along(t - t[0], xy, radius),
+        push=Push.along(
+            t - t[0],
+            xy,
+            radius=None if shape is not None else reach,
+            shape=shape,
+            yaw=None if shape is None else _read_yaw(episode.path, t),
+        ),
         pose=pose,
         t_observed=times - t[0],
         poses_observed=_continue_turns(pose, seen),
@@ -309,6 +324,12 @@ def make_observed_push(
         force=None if force is None else force[:, :2],
         lift_force=None if force is None else force[:, 2],
     )
+
+
+def _read_yaw(path: tuple[Sample, ...], t: Array) -> Array:
+    """Reads the yaw of the pusher's frame at times t (K,), s, without jumps, rad."""
+    yaw = np.unwrap([sample.yaw for sample in path])
+    return np.interp(t, [sample.t for sample in path], yaw)
 
 
 def _take_known_times(times: Array, known: Array) -> Array:

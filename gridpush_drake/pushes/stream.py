@@ -3,7 +3,8 @@
 A stream is one CSV file, a row a sample, SI units and radians, world frame. Its columns: t; tip_x,
 tip_y (the center of the pusher's disc); optionally tip_z, its height above the table, 0 where it is
 not there, and tip_vx, tip_vy, tip_vz, its velocity, found from its places where it is not there;
-object_x, object_y, object_theta. The tip's cells, or the object's, are empty where it was not seen.
+object_x, object_y, object_theta; optionally tip_yaw, the angle of the frame of a pusher that is no
+disc, 0 where it is not there. The tip's cells, or the object's, are empty where it was not seen.
 Where it is known how much later the object's poses are than their times say, such as the age of a
 camera's pictures, that stands in the column object_delay, s, in the first row and nowhere else.
 """
@@ -18,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array
@@ -49,8 +51,16 @@ from gridpush_drake.pushes.segmentation import (
 STREAM_TIP_COLUMNS = ("tip_x", "tip_y", "tip_z")
 VELOCITY_COLUMNS = ("tip_vx", "tip_vy", "tip_vz")
 REQUIRED_STREAM_COLUMNS = ("t", "tip_x", "tip_y", *POSE_COLUMNS)
+YAW_COLUMN = "tip_yaw"
 DELAY_COLUMN = "object_delay"
-STREAM_COLUMNS = ("t", *STREAM_TIP_COLUMNS, *VELOCITY_COLUMNS, *POSE_COLUMNS, DELAY_COLUMN)
+STREAM_COLUMNS = (
+    "t",
+    *STREAM_TIP_COLUMNS,
+    *VELOCITY_COLUMNS,
+    *POSE_COLUMNS,
+    YAW_COLUMN,
+    DELAY_COLUMN,
+)
 
 EXPECTED_STREAM = "a stream of poses (CSV)"
 
@@ -82,7 +92,7 @@ class Recording:
 def record_pushes(
     samples: Iterable[Sample],
     obj: GridObject,
-    radius: float,
+    pusher: float | PusherShape,
     segmenter: SegmenterOptions | None = None,
     record: RecordOptions | None = None,
     source: str = "",
@@ -94,7 +104,7 @@ def record_pushes(
     Args:
         samples: the stream's samples, in the order of their times.
         obj: the object that is pushed.
-        radius: radius of the tip, m.
+        pusher: radius of the tip, m, or the shape of a pusher that is no disc.
         segmenter: when a push begins and ends.
         record: how a push is written down.
         source: where the stream came from, for messages.
@@ -114,7 +124,7 @@ def record_pushes(
             continue
         # One push that was badly seen must not cost the others.
         try:
-            observed = make_observed_push(episode, obj, radius, name_push(len(pushes)), record)
+            observed = make_observed_push(episode, obj, pusher, name_push(len(pushes)), record)
         except UNUSABLE_ERRORS as error:
             unusable.append(
                 f"the motion at {episode.path[0].t:g} s could not be written down: {error}"
@@ -238,14 +248,17 @@ def write_stream_csv(
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     delays = [] if pose_delay is None else [repr(float(pose_delay))]
-    writer.writerow(STREAM_COLUMNS if delays else STREAM_COLUMNS[:-1])
+    turned = any(sample.yaw for sample in samples)
+    left_out = {*(() if turned else (YAW_COLUMN,)), *(() if delays else (DELAY_COLUMN,))}
+    writer.writerow([name for name in STREAM_COLUMNS if name not in left_out])
     for sample in samples:
         row = [repr(float(sample.t))]
         # Cells of what was not seen are empty, all of the tip's or all of the object's.
         for numbers in ((*sample.tip, *sample.velocity), sample.pose):
             was_seen = all(map(math.isfinite, numbers))
             row += [repr(float(number)) if was_seen else "" for number in numbers]
-        writer.writerow([*row, *delays])
+        yaw = [repr(float(sample.yaw))] if turned else []
+        writer.writerow([*row, *yaw, *delays])
         delays = [""] * len(delays)
     write_whole(path, buffer.getvalue(), force)
 
@@ -263,6 +276,7 @@ def read_stream_csv(path: Path | str) -> Stream:
     path = Path(path)
     t: list[float] = []
     groups: list[list[list[float]]] = []
+    yaws: list[float] = []
     measured = False
     pose_delay: float | None = None
     for line, row in read_table(path, EXPECTED_STREAM, REQUIRED_STREAM_COLUMNS, _check_header):
@@ -273,6 +287,7 @@ def read_stream_csv(path: Path | str) -> Stream:
                 for group in (STREAM_TIP_COLUMNS, VELOCITY_COLUMNS, POSE_COLUMNS)
             ]
         )
+        yaws.append(_read_yaw(path, line, row.get(YAW_COLUMN, "")))
         measured = VELOCITY_COLUMNS[0] in row
         if not is_empty(row.get(DELAY_COLUMN, "")):
             pose_delay = _read_delay(path, line, row[DELAY_COLUMN], pose_delay)
@@ -284,7 +299,14 @@ def read_stream_csv(path: Path | str) -> Stream:
     tip, velocity, poses = np.array(groups).transpose(1, 0, 2)
     if not measured:
         velocity = calc_velocities(times, tip)
-    return Stream(make_samples(times, tip, velocity, poses), pose_delay)
+    samples = make_samples(times, tip, velocity, poses)
+    turned = zip(samples, yaws, strict=True)
+    return Stream([sample._replace(yaw=yaw) for sample, yaw in turned], pose_delay)
+
+
+def _read_yaw(path: Path, line: int, cell: str) -> float:
+    """Reads the angle of a pusher's frame, rad; 0 of an empty cell."""
+    return 0.0 if is_empty(cell) else read_number(path, line, YAW_COLUMN, cell, "an angle (rad)")
 
 
 def _read_delay(path: Path, line: int, cell: str, before: float | None) -> float:
@@ -302,7 +324,9 @@ def _read_delay(path: Path, line: int, cell: str, before: float | None) -> float
 
 def _check_header(path: Path, line: int, header: list[str]) -> None:
     """Refuses a header without a column that is needed, or with one twice or misspelled."""
-    known = f"{STREAM_TIP_COLUMNS[2]}, {DELAY_COLUMN} and {', '.join(VELOCITY_COLUMNS)}"
+    known = (
+        f"{STREAM_TIP_COLUMNS[2]}, {YAW_COLUMN}, {DELAY_COLUMN} and {', '.join(VELOCITY_COLUMNS)}"
+    )
     form = f"expected {','.join(REQUIRED_STREAM_COLUMNS)} and, if known, {known}"
     for name in header:
         if header.count(name) > 1:

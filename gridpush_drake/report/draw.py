@@ -7,6 +7,7 @@ that nothing global changes and drawing works in any thread and without a displa
 from collections.abc import Sequence
 from io import BytesIO
 from math import floor, log10
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps, rc_context
@@ -352,9 +353,7 @@ def draw_numbered_push(ax: Axes, push: Push, number: int, color: str) -> None:
     """Draws an arrow along a push, the finger where it begins, and the push's number in it."""
     begin = push.xy[0]
     draw_arrow(ax, begin, push.xy[-1], color)
-    ax.add_patch(
-        Circle((begin[0], begin[1]), push.radius, facecolor="white", edgecolor=color, zorder=6)
-    )
+    draw_pusher(ax, push, 0.0, facecolor="white", edgecolor=color, zorder=6)
     ax.text(
         float(begin[0]),
         float(begin[1]),
@@ -372,8 +371,19 @@ def draw_numbered_push(ax: Axes, push: Push, number: int, color: str) -> None:
 def draw_tips(ax: Axes, push: Push, color: str) -> None:
     """Draws the path of the finger, open where it begins."""
     ax.plot(*push.xy.T, color=color, linewidth=TIP_LINE)
-    for center, filling in ((push.xy[0], "none"), (push.xy[-1], color)):
-        ax.add_patch(Circle(tuple(center), push.radius, facecolor=filling, edgecolor=color))
+    for time, filling in ((0.0, "none"), (push.duration, color)):
+        draw_pusher(ax, push, time, facecolor=filling, edgecolor=color)
+
+
+def draw_pusher(ax: Axes, push: Push, time: float, **style: Any) -> None:
+    """Draws a pusher's shape at a time of its push, s, with the style of a matplotlib patch."""
+    if push.shape is None:
+        x, y = push.tip_at([time])[0].tolist()
+        ax.add_patch(Circle((x, y), push.radius, **style))
+        return
+    covered = push.find_area(time)
+    for part in getattr(covered, "geoms", [covered]):
+        ax.add_patch(Polygon(np.array(part.exterior.coords), **style))
 
 
 def frame_points(ax: Axes, points: Sequence[ArrayLike], room: float) -> None:

@@ -15,10 +15,14 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
 
-from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS, PusherShape
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array, transform_shape
-from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySegment
+from gridpush_drake.multibody.tool_motion import (
+    TrajectorySegment,
+    calc_tool_pose,
+    make_transform,
+)
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.systems.base.messages import (
     PUSH_COMMAND_SIZE,
@@ -30,6 +34,9 @@ from gridpush_drake.systems.base.messages import (
     SteerStatus,
 )
 from gridpush_drake.systems.base.object_controller import AbstractStateSystem
+
+Place = tuple[float, ...]
+"""`Point` of the tip; or `ToolPose` of a tool that is turned to where it pushes."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +53,8 @@ class PushTrajectoryOptions:
         max_push_speed: a faster push is refused, m/s.
         settle_time: time that the tip stays at the end of the push, s.
         tip_radius: radius of the tip, m.
+        shape: of a pusher that is no disc, in place of the radius; None of a disc. It looks the
+            same from both sides, and is turned to where it pushes (`find_tool_yaw`).
         clearance: least gap between tip and object where a push starts, m.
         period: time between two updates of the state, s.
     """
@@ -61,6 +70,7 @@ class PushTrajectoryOptions:
     tip_radius: float = DEFAULT_PUSHER_RADIUS
     clearance: float = 0.0
     period: float = 0.005
+    shape: PusherShape | None = None
 
 
 def make_push_trajectory(
@@ -70,14 +80,16 @@ def make_push_trajectory(
 
     Args:
         command: the push.
-        rest: (3,) p_WP of the tip, which is at rest, m.
+        rest: (3,) p_WP of the tip, which is at rest, m; (4,) with the tool's yaw, rad, where it is
+            turned to where it pushes.
         style: heights, speeds and times.
         speed_scale: factor of the speeds before and after the push.
 
     Returns:
         The segments; the last one ends above the push's end.
     """
-    x, y, z = np.asarray(rest, float).tolist()
+    x, y, z, *yaw = np.asarray(rest, float).tolist()
+    turned = [find_tool_yaw(command.direction)] if yaw else []
     x0, y0 = command.start.tolist()
     x1, y1 = command.end.tolist()
     high = style.travel_height
@@ -88,29 +100,40 @@ def make_push_trajectory(
     segments = []
     if z < high:
         segments.append(
-            TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x, y, high), *vertical)
+            TrajectorySegment(PushPhase.APPROACHING, (x, y, z, *yaw), (x, y, high, *yaw), *vertical)
         )
         z = high
+    above = (x0, y0, high, *turned)
+    begin = (x0, y0, low, *turned)
+    end = (x1, y1, low, *turned)
+    push = (command.speed, style.push_acceleration)
     segments += [
-        TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x0, y0, high), *travel),
-        TrajectorySegment(PushPhase.DESCENDING, (x0, y0, high), (x0, y0, low), *vertical),
-        TrajectorySegment(
-            PushPhase.PUSHING, (x0, y0, low), (x1, y1, low), command.speed, style.push_acceleration
-        ),
-        TrajectorySegment(PushPhase.SETTLING, (x1, y1, low), (x1, y1, low), wait=style.settle_time),
-        TrajectorySegment(PushPhase.RETRACTING, (x1, y1, low), (x1, y1, high), *vertical),
+        TrajectorySegment(PushPhase.APPROACHING, (x, y, z, *yaw), above, *travel),
+        TrajectorySegment(PushPhase.DESCENDING, above, begin, *vertical),
+        TrajectorySegment(PushPhase.PUSHING, begin, end, *push),
+        TrajectorySegment(PushPhase.SETTLING, end, end, wait=style.settle_time),
+        TrajectorySegment(PushPhase.RETRACTING, end, (x1, y1, high, *turned), *vertical),
     ]
     return tuple(segments)
 
 
+def find_tool_yaw(direction: float) -> float:
+    """Finds the tool's yaw, rad, with which a shape pushes in a direction, rad.
+
+    The shape looks the same after half a turn, so that the yaw is in [-pi / 2, pi / 2).
+    """
+    quarter = np.pi / 2
+    return float((direction + quarter) % np.pi - quarter)
+
+
 def make_lookout_trajectory(
-    rest: Point, lookout: Point, style: PushTrajectoryOptions, speed_scale: float = 1.0
+    rest: Place, lookout: Place, style: PushTrajectoryOptions, speed_scale: float = 1.0
 ) -> tuple[TrajectorySegment, ...]:
     """Makes the way from rest to a lookout: up to the higher of both, over, and to the lookout."""
-    x, y, z = rest
-    x1, y1, z1 = lookout
+    x, y, z, *yaw = rest
+    x1, y1, z1, *yaw1 = lookout
     high = max(z, z1, style.travel_height)
-    places = [(x, y, z), (x, y, high), (x1, y1, high), (x1, y1, z1)]
+    places = [rest, (x, y, high, *yaw), (x1, y1, high, *yaw1), lookout]
     travel = (speed_scale * style.travel_speed, style.travel_acceleration)
     return tuple(
         TrajectorySegment(PushPhase.CLEARING, start, end, *travel)
@@ -136,17 +159,17 @@ def break_off(segments: tuple[TrajectorySegment, ...], t: float) -> tuple[Trajec
     push = segments[i].stop_from(t if i == 0 else 0.0)
     if push.end == segments[i].end:
         return segments
-    x, y, _ = push.end
+    x, y, _, *yaw = push.end
     after = [
-        replace(segment, start=(x, y, segment.start[2]), end=(x, y, segment.end[2]))
+        replace(segment, start=(x, y, segment.start[2], *yaw), end=(x, y, segment.end[2], *yaw))
         for segment in segments[i + 1 :]
     ]
     return (*segments[:i], push, *after)
 
 
-Reach = Callable[[Array, Array], str | None]
+Reach = Callable[..., str | None]
 """A function that says why the arm cannot follow a path of the tip, (k, 3) in W, m, at speeds (k -
-1,) on its pieces, m/s; None if it can."""
+1,) on its pieces, m/s; None if it can. If the tool turns, its yaws (k,), rad, come third."""
 
 SPEED_SCALES = (1.0, 0.5, 0.25)
 """Factors of the traveling speeds, tried in turn until the arm can follow. The joints of an arm
@@ -158,7 +181,7 @@ class ExecutorState(Unchanging):
     """All that the executor remembers.
 
     Attributes:
-        rest: p_WP at which the tip stays while there is nothing to do, m.
+        rest: where the tip stays while there is nothing to do.
         segments: the current segment and those still to come.
         segment_start: time at which the current segment began, s.
         status: the status on the port, but for the reason while a command's id is not finite.
@@ -168,7 +191,7 @@ class ExecutorState(Unchanging):
         unreadable: whether the id of the command on the port is not finite.
     """
 
-    rest: Point
+    rest: Place
     segments: tuple[TrajectorySegment, ...] = ()
     segment_start: float = 0.0
     status: PushStatus = field(default_factory=PushStatus)
@@ -182,7 +205,7 @@ class ExecutorState(Unchanging):
         return replace(self.status, reason=UNREADABLE_ID) if self.unreadable else self.status
 
     def position(self, time: float) -> Array:
-        """Calculates the desired position p_WP (3,) at a time, s, in m."""
+        """Calculates the desired position p_WP (3,) at a time, s, in m; with the yaw, if any."""
         if not self.segments:
             return np.array(self.rest)
         return self.segments[0].position(time - self.segment_start)
@@ -269,13 +292,15 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
                 sight, m. Those that the arm cannot reach are left out.
         """
         self.style = style or PushTrajectoryOptions()
+        # A tool that is turned to where it pushes has a yaw of 0 at home and at lookouts.
+        yaw = () if self.style.shape is None else (0.0,)
         x, y, z = np.asarray(home, float).tolist()
-        super().__init__(ExecutorState((x, y, z)), self.style.period)
-        self._home: Point = (x, y, z)
+        self.home: Place = (x, y, z, *yaw)
+        super().__init__(ExecutorState(self.home), self.style.period)
         self._outline = outline
         self._reach = reach
-        self._lookouts: list[Point] = [
-            (x, y, z) for x, y, z in np.asarray(lookouts, float).reshape(-1, 3).tolist()
+        self._lookouts: list[Place] = [
+            (x, y, z, *yaw) for x, y, z in np.asarray(lookouts, float).reshape(-1, 3).tolist()
         ]
         self._command_port = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
         self._pose_port = self.DeclareVectorInputPort("object_pose", 3)
@@ -296,20 +321,21 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         )
         self._declare_value("status", lambda now: now.shown_status)
 
-    def SetRest(self, root_context: Context, p_WP: ArrayLike) -> None:
-        """Sets where the tip begins, p_WP (3,), m, instead of at home.
+    def SetRest(self, root_context: Context, X_WP: RigidTransform) -> None:
+        """Sets where the tip begins instead of at home.
 
         Args:
             root_context: a fresh Context of the Diagram that the executor is part of.
-            p_WP: (3,) position of the tip, m.
+            X_WP: pose of the tip, whose tool points down.
         """
-        x, y, z = np.asarray(p_WP, float).tolist()
+        rest = calc_tool_pose(X_WP)[: len(self.home)]
         context = self.GetMyMutableContextFromRoot(root_context)
-        context.SetAbstractState(int(self._state), ExecutorState((x, y, z)))
+        context.SetAbstractState(int(self._state), ExecutorState(rest))
 
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
-        output.set_value(RigidTransform(R_WP_DOWN, state.position(context.get_time())))
+        x, y, z, *yaw = state.position(context.get_time()).tolist()
+        output.set_value(make_transform((x, y, z, *(yaw or (0.0,)))))
 
     def _go_on(self, context: Context, now: ExecutorState) -> ExecutorState:
         """Goes on to the next segment; or breaks off, takes up or refuses a command."""
@@ -324,13 +350,12 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             segments = break_off(now.segments, time - now.segment_start)
             now = now if segments == now.segments else replace(now, segments=segments)
         done, *left = now.segments
-        x, y, z = done.end
         if time - now.segment_start < done.duration:
             return now
         phase = PushPhase(left[0].phase) if left else PushPhase.IDLE
         executed = now.status.executed + (not left and done.phase != PushPhase.CLEARING)
         status = replace(now.status, phase=phase, executed=executed)
-        return replace(now, rest=(x, y, z), segments=tuple(left), segment_start=time, status=status)
+        return replace(now, rest=done.end, segments=tuple(left), segment_start=time, status=status)
 
     def _take_up(self, context: Context, now: ExecutorState, time: float) -> ExecutorState:
         """Takes up or refuses a new command; without one it may go to a lookout."""
@@ -393,7 +418,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             unseen_since=None,
         )
 
-    def _order_lookouts(self, rest: Point) -> list[Point]:
+    def _order_lookouts(self, rest: Place) -> list[Place]:
         """Returns all lookouts, beginning with the one after `rest`.
 
         They are gone through in turn, even if the object was seen in between: what is seen on the
@@ -403,7 +428,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         return self._lookouts[i:] + self._lookouts[:i]
 
     def _plan(
-        self, context: Context, command: PushCommand, rest: Point
+        self, context: Context, command: PushCommand, rest: Place
     ) -> tuple[tuple[TrajectorySegment, ...], str]:
         """Plans a command; returns its segments, and why it is refused, empty if it is not."""
         reason = self._find_fault(command)
@@ -411,7 +436,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             reason = self._find_overlap(command, self._pose_port.Eval(context))
         if reason is not None:
             return (), reason
-        segments, reason = plan_push(command, rest, self.style, self._reach, self._home)
+        segments, reason = plan_push(command, rest, self.style, self._reach, self.home)
         return segments, reason or ""
 
     def _find_fault(self, command: PushCommand) -> str | None:
@@ -433,9 +458,11 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         outline_W = transform_shape(pose, self._outline)
         start = shapely.Point(command.start)
         where = f"({command.x:.3f}, {command.y:.3f}) m"
-        if outline_W.contains(start):
+        shape = self.style.shape
+        covered = start if shape is None else shape.at([*command.start, command.direction])
+        if outline_W.contains(start) or (shape is not None and outline_W.overlaps(covered)):
             return f"the push would start inside the object, at {where}"
-        gap = outline_W.distance(start) - self.style.tip_radius
+        gap = outline_W.distance(covered) - (self.style.tip_radius if shape is None else 0.0)
         if not gap >= self.style.clearance:
             return (
                 f"the tip would start {gap:.4f} m from the object, at {where}; "
@@ -446,8 +473,8 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
 
 def make_detour(
     command: PushCommand,
-    rest: Point,
-    home: Point,
+    rest: Place,
+    home: Place,
     style: PushTrajectoryOptions,
     speed_scale: float,
 ) -> tuple[TrajectorySegment, ...]:
@@ -459,10 +486,10 @@ def make_detour(
 
 def plan_push(
     command: PushCommand,
-    rest: Point,
+    rest: Place,
     style: PushTrajectoryOptions,
     reach: Reach | None,
-    home: Point | None = None,
+    home: Place | None = None,
 ) -> tuple[tuple[TrajectorySegment, ...], str | None]:
     """Plans the trajectory of a push, as fast as the arm can follow.
 
@@ -472,11 +499,11 @@ def plan_push(
 
     Args:
         command: the push.
-        rest: p_WP of the tip, which is at rest, m.
+        rest: where the tip is at rest.
         style: heights, speeds and times.
         reach: says why the arm cannot follow a path; None if it always can.
-        home: p_WP of the tip's home, by which it may go, and to which it must be able to go
-            afterwards, m; None where there is no such place.
+        home: the tip's home, by which it may go, and to which it must be able to go afterwards;
+            None where there is no such place.
 
     Returns:
         The segments, and None; or no segments, and why the arm cannot follow, or could not go home
@@ -501,15 +528,14 @@ def plan_push(
     # joint's limit that it has just kept on another way, or stretched so far that its joints would
     # turn too fast.
     if home is not None:
-        x, y, z = segments[-1].end
-        reason = _find_hitch((x, y, z), home, style, reach)
+        reason = _find_hitch(segments[-1].end, home, style, reach)
         if reason is not None:
             return (), reason
     return segments, None
 
 
 def plan_lookout(
-    rest: Point, lookout: Point, style: PushTrajectoryOptions, reach: Reach | None
+    rest: Place, lookout: Place, style: PushTrajectoryOptions, reach: Reach | None
 ) -> tuple[TrajectorySegment, ...]:
     """Plans the way to a lookout, as fast as the arm can follow; see `plan_push`.
 
@@ -523,7 +549,7 @@ def plan_lookout(
     return ()
 
 
-def _find_hitch(rest: Point, home: Point, style: PushTrajectoryOptions, reach: Reach) -> str | None:
+def _find_hitch(rest: Place, home: Place, style: PushTrajectoryOptions, reach: Reach) -> str | None:
     """Says why the arm cannot go home from a place, however slowly; None if it can."""
     reason = None
     for speed_scale in SPEED_SCALES:
@@ -537,4 +563,5 @@ def _find_hitch(rest: Point, home: Point, style: PushTrajectoryOptions, reach: R
 def _ask(reach: Reach, segments: tuple[TrajectorySegment, ...]) -> str | None:
     """Asks why the arm cannot follow some segments; None if it can."""
     path = np.array([segments[0].start] + [segment.end for segment in segments])
-    return reach(path, np.array([segment.top_speed for segment in segments]))
+    speeds = np.array([segment.top_speed for segment in segments])
+    return reach(path[:, :3], speeds, path[:, 3]) if path.shape[1] > 3 else reach(path, speeds)

@@ -27,7 +27,7 @@ from gridpush_drake.display.shapes import (
 )
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS, PusherShape
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, wrap_angle
@@ -290,6 +290,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         limits: tuple[float, float] | None = None,
         period: float = PUBLISH_PERIOD,
         pusher_radius: float | None = None,
+        pusher_shape: PusherShape | None = None,
         physics: Physics | None = None,
         lift: float = 0.0,
     ) -> None:
@@ -304,6 +305,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
             period: time between two updates of the scene, s.
             pusher_radius: radius of the finger's tip, m; by default that of the first object's
                 file, or `DEFAULT_PUSHER_RADIUS`.
+            pusher_shape: of a pusher that is no disc, in place of the radius; None of a disc.
             physics: physics of the prediction, see `simulate`; `Physics()` by default.
             lift: height above the table at which everything is drawn, m.
 
@@ -322,6 +324,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         )
         self._objects = tuple(shown.obj for shown in objects)
         first = self._objects[0].prior
+        self._shape = pusher_shape
         self._radius = pusher_radius or first.pusher_radius or DEFAULT_PUSHER_RADIUS
         self._physics = physics
         count = len(self._objects)
@@ -456,7 +459,9 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         duration = command.distance / command.speed
         velocity = (command.end - command.start) / duration
         try:
-            push = Push(command.start, velocity, duration, self._radius)
+            radius = self._radius if self._shape is None else self._shape.radius
+            yaw = None if self._shape is None else command.direction
+            push = Push(command.start, velocity, duration, radius, shape=self._shape, yaw=yaw)
             params = CellParameters(estimate.mass, estimate.friction, mu)
             motion = simulate(Model(obj, params, self._physics), push, pose)
         except GridPushError:

@@ -24,7 +24,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
-from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS, PusherShape
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
@@ -135,6 +135,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         input_ports:
         - object_pose
         - pusher_state
+        - pusher_yaw
         - force
         - weighing_log
         output_ports:
@@ -156,6 +157,8 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
       seen.
     * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s; a
       sample with NaN is passed over.
+    * pusher_yaw: vector of 1, angle of the pusher's frame, rad; it need not be connected if the
+      pusher is a disc.
     * force: vector of 3, force on the tip in W, N, with whatever offset it has; it need not be
       connected.
     * weighing_log: abstract `MassTestLog`, presses and lifts so far; it need not be connected.
@@ -201,6 +204,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         *,
         physics: Physics | None = None,
         pusher_radius: float | None = None,
+        pusher_shape: PusherShape | None = None,
         segmenter: SegmenterOptions | None = None,
         record: RecordOptions | None = None,
         table: ArrayLike | None = None,
@@ -227,6 +231,8 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             pusher_radius: radius of the tip, m; by default that of the prior, or
                 `DEFAULT_PUSHER_RADIUS`. If given, it replaces the prior's in `self.obj`, so that
                 the object's file and the log say the same.
+            pusher_shape: of a pusher that is no disc, in place of its radius; None of a disc. Its
+                pushes do not know of the table's edge.
             segmenter: other options of finding pushes; its `engaged_below` is replaced by the
                 argument.
             record: options of writing pushes down, with the age of the sensor's poses.
@@ -249,14 +255,15 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             )
         if pusher_radius is not None:
             obj = replace(obj, prior=replace(obj.prior, pusher_radius=pusher_radius))
-        no_pushes = PushLog((), LOG_SOURCE, table=None if table is None else np.asarray(table))
+        corners = None if table is None or pusher_shape is not None else np.asarray(table)
+        no_pushes = PushLog((), LOG_SOURCE, table=corners)
         super().__init__(IdentifierState(log=no_pushes), period)
         self.obj = obj
         self._model = Model(obj, physics=used)
         self.max_learning_pushes = max_learning_pushes
         self.warm_start = warm_start
         self._worker = make_worker(answer_delay)
-        self._radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+        self._pusher = pusher_shape or obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
         self._segmenter = replace(segmenter or SegmenterOptions(), engaged_below=engaged_below)
         self._record = record or RecordOptions()
         self._learning: dict[str, Any] = {
@@ -266,6 +273,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         }
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 6)
+        self._pusher_yaw = self.DeclareVectorInputPort("pusher_yaw", 1)
         self._force = self.DeclareVectorInputPort("force", 3)
         self._weighing_log = self.DeclareAbstractInputPort(
             "weighing_log", AbstractValue.Make(MassTestLog())
@@ -359,7 +367,17 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         if self._force.HasValue(context):
             x, y, z = self._force.Eval(context).tolist()
             force = (x, y, z)
-        sample = Sample(context.get_time(), pose, pusher[:3], pusher[3:], force)
+        yaw = 0.0
+        if self._pusher_yaw.HasValue(context):
+            yaw = float(self._pusher_yaw.Eval(context)[0])
+        sample = Sample(
+            context.get_time(),
+            pose=pose,
+            tip=pusher[:3],
+            velocity=pusher[3:],
+            force=force,
+            yaw=yaw,
+        )
         segmenter, episode = advance(now.segmenter, sample, self._segmenter)
         logged = self._log_push(replace(now, segmenter=segmenter), episode)
         learned = self._learn(logged, context.get_time())
@@ -389,7 +407,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             return state
         name = name_push(len(state.log))
         try:
-            observed = make_observed_push(episode, self.obj, self._radius, name, self._record)
+            observed = make_observed_push(episode, self.obj, self._pusher, name, self._record)
         except UNUSABLE_ERRORS as error:
             return replace(state, message=f"A push could not be written down: {error}.")
         if observed is None:

@@ -114,6 +114,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         - force
         - time_measured
         - pusher_state
+        - pusher_yaw
         - object_pose
         - stop
         - grasp_status
@@ -129,6 +130,8 @@ class ArmGuard(AbstractStateSystem[GuardState]):
       every status.
     * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s,
       as measured.
+    * pusher_yaw: vector of 1, angle by which the tool is turned about the vertical, rad; it need
+      not be connected if the pusher is round.
     * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN while the object is not
       seen.
     * stop: vector of 1; any value but 0 stops the arm. `BY_USER` says that the user asked for it;
@@ -205,6 +208,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         self._force = self.DeclareVectorInputPort("force", 3)
         self._time_measured = self.DeclareVectorInputPort("time_measured", 1)
         self._pusher = self.DeclareVectorInputPort("pusher_state", PUSHER_STATE_SIZE)
+        self._yaw = self.DeclareVectorInputPort("pusher_yaw", 1)
         self._pose = self.DeclareVectorInputPort("object_pose", 3)
         self._stop = self.DeclareVectorInputPort("stop", 1)
         self._grasp = self.DeclareAbstractInputPort(
@@ -260,6 +264,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             pose=np.array(self._pose.Eval(context)),
             stop=float(self._stop.Eval(context)[0]),
             grasping=grasping,
+            yaw=float(self._yaw.Eval(context)[0]) if self._yaw.HasValue(context) else 0.0,
         )
 
     def _begin_at(self, now: GuardState, inputs: GuardInputs) -> GuardState:
@@ -303,7 +308,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             hidden = time - now.pose_seen > OCCLUDED_TIME
             if idle or hidden or inputs.grasping:
                 watch = self._object_watch.forget(watch)
-            watch, moved = self._object_watch.watch(watch, time, pose, inputs.tip)
+            watch, moved = self._object_watch.watch(watch, time, pose, inputs.tip, inputs.yaw)
             fault = fault or moved
         return replace(now, pose=pose, pose_seen=time, watch=watch), fault
 

@@ -69,6 +69,7 @@ class GuardInputs:
         pose: (3,) X_WB of the object as it was seen last, m and rad; NaN while it is not seen.
         stop: what the arm is stopped for; 0 for nothing.
         grasping: whether a grasp is under way.
+        yaw: angle by which the tool is turned about the vertical, rad; 0 where nothing says it.
     """
 
     time: float
@@ -81,6 +82,7 @@ class GuardInputs:
     pose: Array
     stop: float
     grasping: bool
+    yaw: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.frozen import Unchanging
-from gridpush_drake.geometry.se2 import Array, transform
+from gridpush_drake.geometry.se2 import Array, transform, transform_shape
 from gridpush_drake.units import MM_PER_M
 
 MAX_LEVER_RATIO = 2.0
@@ -78,7 +79,9 @@ class ObjectWatch:
     Attributes:
         outline: outline of the object in its body frame B, m.
         height: height of the object's top above the table, m, or of the highest object's.
-        tip_radius: radius of the finger's tip, a sphere, m.
+        tip_radius: radius of the finger's tip, a sphere, m; of a pusher of another shape, how far
+            it reaches from its frame's origin.
+        shape: of a pusher that is no disc; None of a disc.
         noise: greatest distance that a point of an object at rest may seem to move, m.
         lag: longest time from when a picture is taken until its pose comes, s.
         pushed_by_others: whether other objects lie on the table that the finger may push against
@@ -91,6 +94,7 @@ class ObjectWatch:
     noise: float = 0.01
     lag: float = 0.1
     pushed_by_others: bool = False
+    shape: PusherShape | None = None
     corners: Array = field(init=False)
     """(k, 2) corners of the outline's convex hull in B, m: one of them moves the farthest."""
 
@@ -98,12 +102,19 @@ class ObjectWatch:
         corners = shapely.get_coordinates(self.outline.convex_hull)
         object.__setattr__(self, "corners", corners)
 
-    def is_near(self, pose: Array, p_WP: Array) -> bool:
-        """Returns whether the finger may touch the object, with its tip at p_WP (3,), m."""
+    def is_near(self, pose: Array, p_WP: Array, yaw: float = 0.0) -> bool:
+        """Returns whether the finger may touch the object, with its tip at p_WP (3,), m.
+
+        The yaw is that of a shape's frame, rad.
+        """
         if p_WP[2] - self.tip_radius > self.height + MAX_TOUCHING_GAP:
             return False
         if self.pushed_by_others:
             return True
+        if self.shape is not None:
+            covered = self.shape.at([*p_WP[:2], yaw])
+            outline = transform_shape(pose, self.outline)
+            return bool(outline.distance(covered) < MAX_TOUCHING_GAP)
         # The tip's place in B.
         offset = p_WP[:2] - pose[:2]
         cos = np.cos(pose[2])
@@ -121,7 +132,7 @@ class ObjectWatch:
         return replace(now, observations=(), untouched=None)
 
     def watch(
-        self, now: WatchState, time: float, pose: Array, p_WP: Array
+        self, now: WatchState, time: float, pose: Array, p_WP: Array, yaw: float = 0.0
     ) -> tuple[WatchState, str]:
         """Takes in where tip and object are.
 
@@ -131,6 +142,7 @@ class ObjectWatch:
             pose: (3,) X_WB of the object as it was seen last, m and rad; finite. It counts as
                 another look where it has changed.
             p_WP: (3,) the tip's place, m; finite.
+            yaw: angle of a shape's frame, rad.
 
         Returns:
             What is remembered from then on; and a sentence where the object cannot have moved like
@@ -138,7 +150,7 @@ class ObjectWatch:
         """
         # The tip's way near the object, sideways.
         way = now.way
-        if now.tip is not None and self.is_near(pose, p_WP):
+        if now.tip is not None and self.is_near(pose, p_WP, yaw):
             way += float(np.hypot(*(p_WP - now.tip)[:2]))
         ways = [item for item in now.ways if item[0] >= time - self.lag]
         now = replace(now, tip=np.array(p_WP), way=way, ways=(*ways, (time, way)))

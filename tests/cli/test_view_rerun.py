@@ -9,9 +9,12 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
+from gridpush_drake.display.rerun_scene import RerunScene
 from tests.helpers.rerun_files import print_rerun
+from tests.helpers.scene_cases import PLATE
 from tests.helpers.two_processes import ENTER, find_obstacle
 
 VIEWER_PORT = 9876
@@ -78,6 +81,12 @@ def test_shows_pushes_beside_their_predictions(gridpush, pushes, model, tmp_path
     printed = print_rerun(file)
     for entity in ("/world/predicted/outline", "/predicted/cell_error_mm", "/world/tip"):
         assert entity in printed, entity
+
+    # A pusher that is no ball is shown by its edge.
+    scene = RerunScene(str(tmp_path / "plate.rrd"))
+    scene.show_tip(np.zeros(3), PLATE.radius, PLATE, 0.3)
+    scene.finish()
+    assert "LineStrips3D:strips" in print_rerun(tmp_path / "plate.rrd")
 
 
 @pytest.mark.slow

@@ -1,6 +1,9 @@
+import struct
+
 import numpy as np
 import pytest
 
+from gridpush_drake.cli.view.view_scene import AddPusher
 from gridpush_drake.display.server import StartMeshcatServer
 from gridpush_drake.display.shapes import (
     AddArrow,
@@ -12,6 +15,8 @@ from gridpush_drake.display.shapes import (
     make_outline_prism,
     make_ring,
 )
+from gridpush_drake.dynamics.push import Push
+from tests.helpers.scene_cases import PLATE
 from tests.helpers.shapes import SHAPES, make_shape
 
 HEIGHT = 0.03
@@ -100,3 +105,14 @@ def test_draws_nothing_of_an_arrow_without_length(end):
     assert not meshcat.HasPath("arrow")
     AddArrow(meshcat, "arrow", (0.1, 0.2), (0.1, 0.2001), HEIGHT)
     assert meshcat.HasPath("arrow")
+
+
+def test_a_pusher_of_another_shape_is_turned_in_a_replay():
+    meshcat = StartMeshcatServer()
+    push = Push.about((0.0, 0.2), 0.5, shape=PLATE, start=(-0.1, 0.0), yaw=0.3, duration=1.0)
+    meshcat.StartRecording()
+    AddPusher(meshcat, push, 0, 0.0, HEIGHT)
+    # a matrix of MessagePack's 64-bit numbers, each after a byte that says so, column by column
+    packed = meshcat._GetPackedTransform("pushes/0/finger").partition(b"matrix")[2][3:]
+    cosine, sine = (struct.unpack(">d", packed[9 * k + 1 : 9 * k + 9])[0] for k in (0, 1))
+    assert (cosine, sine) == pytest.approx((np.cos(0.8), np.sin(0.8)))

@@ -5,11 +5,12 @@ import pytest
 
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import QUASI_STATIC
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import START_TOLERANCE, Push
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.pusher import Pusher, PusherShape
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError, PushError, SimulationError
+from gridpush_drake.geometry.se2 import transform, transform_shape
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -34,6 +35,36 @@ def turn_about(center, shape=TIPS, angle=None):
     front = shape.core[:, 0].max() + shape.radius
     start = (-0.05 - front, 0.0)
     return Push.about(center, angle, shape=shape, start=start, duration=1.0)
+
+
+@pytest.mark.parametrize("shape", [TIPS, PLATE], ids=["tips", "plate"])
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_push_on_the_outline_begins_clear_of_the_object_and_touches_it(name, shape):
+    obj = make_shape(name, 30)
+    pose = np.array([0.3, -0.1, 0.7])
+    outline = transform_shape(pose, obj.outline)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        place = rng.uniform(0, obj.edges.perimeter)
+        push = Push.on_outline(
+            obj,
+            place,
+            rng.uniform(-0.6, 0.6),
+            0.05,
+            radius=shape.radius,
+            shape=shape,
+            speed=0.03,
+            pose=pose,
+            clearance=0.004,
+        )
+        gap = outline.distance(push.find_area(0.0))
+        assert 0.004 - 1e-5 <= gap <= 0.004 + START_TOLERANCE + 1e-5
+        # it looks where it goes, towards the place
+        ahead = np.array([np.cos(push.yaw[0]), np.sin(push.yaw[0])])
+        np.testing.assert_allclose(push.velocity / 0.03, ahead)
+        away = transform(pose, obj.edges.at(place)[0][None])[0] - push.start
+        assert abs(away @ [-ahead[1], ahead[0]]) < 1e-9
+        assert simulate(Model(obj), push, pose).status == "ok"
 
 
 @pytest.mark.parametrize("shape", SHAPES)

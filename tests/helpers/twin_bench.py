@@ -54,7 +54,7 @@ class TwinBench:
 
     def __init__(self, scenario: PushScenario, task: type) -> None:
         self.lcm, self._network = DrakeLcm("memq://"), DrakeLcm("memq://")
-        robot = find_robot(scenario.directives)
+        robot = find_robot(scenario.directives, pusher=scenario.pusher)
         self.messages = find_arm_messages(robot)
         others = len(scenario.others)
         edge = LcmLink(self._network, robot, LinkRole.ROBOT)
@@ -178,7 +178,10 @@ class CameraBench(TwinBench):
         self.seen: list[tuple[float, np.ndarray, TrackedPose]] = []
         self._camera, self.tracker = TwinCamera(scenario), None
         super().__init__(scenario, lambda scenario, make_station: None)
-        robot, others = find_robot(scenario.directives), len(scenario.others)
+        robot, others = (
+            find_robot(scenario.directives, pusher=scenario.pusher),
+            len(scenario.others),
+        )
         self._eye = LcmLink(self.lcm, robot, LinkRole.CAMERA)
         camera = make_camera(scenario.camera)
         sight = LcmLink(self.lcm, robot, LinkRole.TRACKER, camera=camera, others=others)

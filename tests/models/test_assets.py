@@ -165,9 +165,11 @@ def test_scene_is_parsed_and_starts_without_contact(file):
 
 
 @pytest.mark.parametrize("file", SCENES)
-def test_scene_starts_with_the_finger_down_over_the_table(file):
+def test_scene_starts_with_the_finger_or_the_gripper_down_over_the_table(file):
     plant, _, _ = parse(file)
-    X_WP = plant.GetFrameByName("finger_tip").CalcPoseInWorld(plant.CreateDefaultContext())
+    closed = "panda_hand_tip" if "panda" in file else "tip"
+    tip = closed if file.endswith("_gripper.dmd.yaml") else "finger_tip"
+    X_WP = plant.GetFrameByName(tip).CalcPoseInWorld(plant.CreateDefaultContext())
     assert (
         np.abs(
             X_WP.rotation().matrix() - RollPitchYaw(0.0, np.pi, 0.0).ToRotationMatrix().matrix()
@@ -179,6 +181,9 @@ def test_scene_starts_with_the_finger_down_over_the_table(file):
 
 def test_scenes_come_with_and_without_a_gripper():
     able = [file for file in TABLE_SCENES if parse(file)[0].HasModelInstanceNamed("gripper")]
+    pushing = [f"scenes/{arm}_gripper.dmd.yaml" for arm in ("iiwa", "panda", "ur5e", "xarm6")]
+    assert [file for file in able if not parse(file)[0].HasModelInstanceNamed("finger")] == pushing
+    able = [file for file in able if file not in pushing]
     grasping = ("iiwa_grasp", "iiwa_grasp_heavy", "panda_grasp", "ur5e_grasp", "xarm6_grasp")
     assert able == [f"scenes/{name}.dmd.yaml" for name in grasping]
     assert len(TABLE_SCENES) >= 5

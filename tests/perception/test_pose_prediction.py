@@ -21,7 +21,7 @@ from gridpush_drake.perception.tracking.pose_prediction import (
     predict_pose,
     predict_scene_poses,
 )
-from tests.helpers.scene_cases import Layout
+from tests.helpers.scene_cases import PLATE, Layout
 
 OBJ = GridObject.from_outline(shapely.box(-0.06, -0.03, 0.06, 0.03), max_cells=20)
 PARAMS = CellParameters.uniform(OBJ)
@@ -53,6 +53,20 @@ def test_a_prediction_in_steps_is_that_of_one_push():
     np.testing.assert_array_equal(expected.pose, found.pose)
     way = np.linalg.norm(found.pose[:2] - START[:2])
     assert expected.place_deviation == pytest.approx(max(0.005, 0.3 * way))
+
+
+def test_a_shape_is_predicted_with_its_front_where_it_moves():
+    path = make_path(2)
+    model = replace(MODEL, shape=PLATE, radius=PLATE.reach)
+    last, now = (
+        Tip(t, np.array([*place, 0.01])) for t, place in zip((0.0, 1.0), path, strict=True)
+    )
+    found = predict_pose(BEGIN, model, lambda: PARAMS, last, now)
+    x, y = path[1] - path[0]
+    push = Push.along([0.0, 1.0], path, shape=PLATE, yaw=np.arctan2(y, x))
+    expected = simulate(Model(OBJ, PARAMS), push, START, regime="quasi_static").final_pose
+    assert np.abs(expected - go(path).pose).max() > 1e-3
+    np.testing.assert_array_equal(found.pose, expected)
 
 
 def test_a_tip_above_the_object_or_beside_it_says_nothing():

@@ -14,6 +14,7 @@ from gridpush_drake.pushes.stream import (
     record_pushes,
     write_stream_csv,
 )
+from tests.helpers.scene_cases import PLATE
 from tests.helpers.scripted_stream import RADIUS, Script, poke_four_times
 from tests.helpers.shapes import make_shape
 
@@ -51,6 +52,18 @@ def test_a_stream_survives_its_file_bit_for_bit(script, tmp_path):
     assert_same(
         record_pushes(samples, script.obj, RADIUS).log, record_pushes(back, script.obj, RADIUS).log
     )
+
+
+def test_the_angle_of_a_shape_is_kept_and_its_pushes_have_it(script, tmp_path):
+    turned = [seen._replace(yaw=0.1 + 0.01 * seen.t) for seen in script.samples]
+    write_stream_csv(turned, tmp_path / "stream.csv", pose_delay=0.0)
+    read = read_stream_csv(tmp_path / "stream.csv").samples
+    assert [seen.yaw for seen in read] == [seen.yaw for seen in turned]
+    recording = record_pushes(read, script.obj, PLATE)
+    assert len(recording.log) >= 3
+    for begin, seen in zip(recording.begins, recording.log, strict=True):
+        assert seen.push.shape is PLATE
+        np.testing.assert_allclose(seen.push.yaw, 0.1 + 0.01 * (begin + seen.push.t), atol=1e-9)
 
 
 def test_what_is_left_out(script):

@@ -27,6 +27,7 @@ from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import (
+    LEARNED_COLOR,
     calc_round_length,
     draw_cells,
     draw_outline,
@@ -55,7 +56,7 @@ from gridpush_drake.report.plan_figures import (
 from gridpush_drake.report.progress import Progress, draw_progress
 from gridpush_drake.report.scene_run import draw_scene_run
 from tests.helpers.made_identifications import make_block, make_identification
-from tests.helpers.scene_cases import Layout
+from tests.helpers.scene_cases import PLATE, TIPS, Layout
 from tests.helpers.shapes import make_shape
 from tests.helpers.simulated_pushes import make_pushes
 
@@ -282,6 +283,20 @@ def test_shows_every_push_and_the_errors(count):
         low, high = way.get_xlim()
         assert low < push.xy[:, 0].min() and push.xy[:, 0].max() < high
     assert to_png(figure).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("shape", [TIPS, PLATE], ids=["fingertips", "plate"])
+def test_a_pusher_is_drawn_as_what_it_is_where_it_is_and_turned(shape):
+    push = Push.about((0.0, 0.1), 0.5, shape=shape, start=(-0.08, 0.0), yaw=0.2, duration=1.0)
+    figure = draw_motion(make_block(), push, np.zeros((3, 3)))
+    covered = [
+        Polygon(patch.get_path().vertices)
+        for patch in figure.axes[0].patches
+        if to_rgb(patch.get_edgecolor()) == to_rgb(LEARNED_COLOR)
+    ]
+    ends = [shape.at([*push.xy[i], push.yaw[i]]) for i in (0, -1)]
+    together = shapely.union_all(ends)
+    assert shapely.union_all(covered).symmetric_difference(together).area < 1e-9 * together.area
 
 
 def test_pushes_that_were_left_out_are_told_apart():

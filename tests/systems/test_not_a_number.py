@@ -36,6 +36,7 @@ from gridpush_drake.systems.sensing.pusher_gate import PusherGate
 from gridpush_drake.systems.sensing.pusher_state_sensor import PusherStateSensor
 from tests.helpers.made_identifications import make_block
 from tests.helpers.poke_diagram import FINGER_RULES, REGION, make_poke_diagram
+from tests.helpers.scene_cases import PLATE
 
 OBJ = make_block(12)
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
@@ -60,6 +61,7 @@ GOOD = {
     "predicted_poses": POSE + 0.05,
     "goal_pose": np.array([0.15, 0.1, 1.0]),
     "pusher_state": np.array([0.08, 0.0, 0.01, -0.05, 0.0, 0.0]),
+    "pusher_yaw": np.array([0.3]),
     "applied_wrench": np.array([0.1, 0.0, 0.01]),
     "mass": UNIFORM.mass,
     "friction": UNIFORM.friction,
@@ -79,6 +81,7 @@ GOOD = {
 SYSTEMS = {
     "lcp": lambda: GridLcpSystem(Model(OBJ)),
     "identifier": lambda: GridIdentifier(OBJ),
+    "identifier_of_a_shape": lambda: GridIdentifier(OBJ, pusher_shape=PLATE),
     "policy": lambda: PokePolicy(Model(OBJ), RandomPokes(region=REGION), FINGER_RULES),
     "contact_point": lambda: ContactPointController(Model(OBJ), RULES),
     "pre_grasp": lambda: PreGraspController(

@@ -5,6 +5,7 @@ import pytest
 import shapely
 
 from gridpush_drake.systems.sensing.object_watch import MAX_LEVER_RATIO, ObjectWatch, WatchState
+from tests.helpers.scene_cases import PLATE
 
 LOOK, PERIOD = 1 / 30, 0.005
 WATCH = ObjectWatch(shapely.box(-0.1, -0.03, 0.1, 0.03), height=0.03, tip_radius=0.01)
@@ -41,6 +42,18 @@ def test_an_object_that_is_faster_than_the_finger_at_it_is_noticed(speed):
     fault, time = watch(tip, lambda t: POSE + [speed * t, 0, 0])
     assert "; the finger at it moved by " in fault
     assert time < 5 * LOOK
+
+
+def test_a_pusher_of_another_shape_is_near_by_its_angle():
+    """A plate 60 mm wide and 15 mm thick, whose front is at the tip."""
+    plate = replace(WATCH, shape=PLATE, tip_radius=PLATE.reach)
+    place = np.array([0.5 - 0.03, 0.1, 0.012])
+    assert [plate.is_near(POSE, place, yaw) for yaw in (0.0, np.pi, np.pi / 2)] == [
+        False,
+        True,
+        True,
+    ]
+    assert not plate.is_near(POSE, np.array([*place[:2], 0.12]), np.pi / 2)
 
 
 def test_in_clutter_a_low_finger_counts_as_near_wherever_it_is():

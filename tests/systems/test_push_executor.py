@@ -8,8 +8,10 @@ import shapely
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
+from gridpush_drake.multibody.tool_motion import calc_tool_pose
 from gridpush_drake.systems.base.messages import GraspStatus, PushCommand, PushStatus
 from gridpush_drake.systems.execution.push_executor import PushExecutor, PushTrajectoryOptions
+from tests.helpers.scene_cases import PLATE
 
 HOME = (0.6, 0.1, 0.2)
 OUTLINE = shapely.box(-0.05, -0.02, 0.05, 0.02)
@@ -122,6 +124,39 @@ def test_it_goes_up_before_it_goes_over_and_settles_long_enough(whole):
 def test_tool_points_down_at_all_times(whole):
     np.testing.assert_allclose(whole.pose.rotation().matrix() @ [0, 0, 1], [0, 0, -1], atol=1e-15)
     np.testing.assert_allclose(whole.pose.rotation().matrix() @ [1, 0, 0], [-1, 0, 0], atol=1e-15)
+
+
+def test_a_shape_is_turned_to_where_it_pushes_before_it_goes_down():
+    asked = []
+
+    def reach(path, speeds, yaws):
+        asked.append(yaws)
+
+    executor = PushExecutor(HOME, OUTLINE, reach, replace(STYLE, shape=PLATE))
+    run = Run()
+    run.executor = executor
+    run.simulator = Simulator(executor)
+    run.context = run.simulator.get_mutable_context()
+    run.see((0.6, 0.0, 0.0))
+    command = replace(PUSH, direction=2.0)
+    run.give(command)
+    yaws = []
+    while not (run.status.ready and run.status.executed):
+        run.advance(0.01)
+        *_, z, yaw = calc_tool_pose(run.pose)
+        yaws.append(yaw)
+        if z < STYLE.travel_height - 1e-9:
+            assert yaw == pytest.approx(2.0 - np.pi)  # it looks the same after half a turn
+    assert np.abs(np.diff(yaws)).max() < 0.02
+    assert {len(np.unique(each)) for each in asked} == {2}
+
+    # It begins beside the object, whichever way it is turned.
+    run.give(PushCommand(2, 0.6, 0.03, 0.0, 0.05, 0.05))
+    run.advance(0.02)
+    assert "start inside the object" in run.status.reason
+    run.give(PushCommand(3, 0.6, 0.03, -np.pi / 2, 0.05, 0.05))
+    run.advance(0.02)
+    assert not run.status.reason
 
 
 UNSEEN = (np.nan, np.nan, np.nan)

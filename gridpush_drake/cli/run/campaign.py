@@ -128,7 +128,9 @@ def campaign(
     if unknown_inertia:
         hide_inertia(scenario, task)
     if robot is not None:
-        scenario.directives = make_robot_directives(robot, grasping=TASK_KINDS[task].grasps)
+        scenario.directives = make_robot_directives(
+            robot, grasping=TASK_KINDS[task].grasps, pusher=scenario.pusher
+        )
     chosen = _find_objects(scenario, objects)
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
     # an object that does not fit the scenario or the task is refused now, not after hours

@@ -76,6 +76,7 @@ def demo(
         ),
     ] = None,
     robot: options.RobotScene = None,
+    pusher: options.PusherOption = None,
     scenario_file: Annotated[
         Path | None,
         typer.Option(
@@ -173,8 +174,14 @@ def demo(
         scenario.seed = seed
     if unknown_inertia:
         hide_inertia(scenario, task)
+    if pusher is not None:
+        if robot is None and pusher != scenario.pusher:
+            raise options.OptionError(f"--pusher {pusher}: expected --robot NAME beside it")
+        scenario.pusher = pusher
     if robot is not None:
-        scenario.directives = make_robot_directives(robot, grasping=chosen.grasps)
+        scenario.directives = make_robot_directives(
+            robot, grasping=chosen.grasps, pusher=scenario.pusher
+        )
     if camera is None and scenario_file is None:
         scenario.camera.use("ideal" if chosen.needs_poses else _choose_camera())
     resolved = resolve(scenario, scenario_file or chosen.scenario, known_object=known_object)

@@ -104,6 +104,17 @@ RobotScene = Annotated[
 ]
 """`--robot`, in commands that simulate; see `make_robot_directives`."""
 
+PusherOption = Annotated[
+    Literal["finger", "gripper"] | None,
+    typer.Option(
+        "--pusher",
+        help="What the robot pushes with: the round tip of a finger, or its closed gripper, which "
+        "then points down; gripper goes with --robot.",
+        show_default="the scenario's, finger",
+    ),
+]
+"""`--pusher`, in commands that simulate; see `PushScenario.pusher`."""
+
 Record = Annotated[
     Path | None,
     typer.Option(

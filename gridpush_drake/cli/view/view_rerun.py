@@ -78,7 +78,9 @@ def show_pushes(
         for move in _list_moves(seen, prediction):
             scene.set_time(begin + END_POSE_TIME + move.time)
             if move.entity == TIP_ENTITY:
-                scene.show_tip(move.place, seen.push.radius)
+                push = seen.push
+                tip = np.append(move.place[:2], 0.0)
+                scene.show_tip(tip, push.radius, push.shape, float(move.place[2]))
             else:
                 scene.show_object(move.place, move.entity)
         if prediction is not None:
@@ -93,7 +95,7 @@ class _Move:
     Attributes:
         time: since the push began, s.
         entity: what moved.
-        place: (3,) a point of the tip, m, or a planar pose of the object, m and rad.
+        place: (3,) planar pose of the tip or of the object, m and rad.
     """
 
     time: float
@@ -105,7 +107,7 @@ def _list_moves(seen: ObservedPush, prediction: Prediction | None) -> list[_Move
     """Lists what moves in a push, in the order of times."""
     moves = []
     for time in seen.push.t:
-        tip = np.append(seen.push.tip_at(time), 0.0)
+        tip = np.append(seen.push.tip_at(time), seen.push.yaw_at(time))
         moves.append(_Move(float(time), TIP_ENTITY, tip))
     for time, pose in zip(seen.t_observed, seen.poses_observed, strict=True):
         moves.append(_Move(float(time), OBJECT_ENTITY, pose))

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.geometry import Box, Cylinder, Meshcat, Rgba
+from pydrake.geometry import Box, Meshcat, Rgba
 
 from gridpush_drake.cli.shell.options import Target
 from gridpush_drake.display.cell_colors import CellColors, Shown
@@ -24,10 +24,12 @@ from gridpush_drake.display.shapes import (
     AddCells,
     AddCenter,
     AddGhost,
+    AddPrism,
     MakePlanarTransform,
     SwapVisible,
 )
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.prediction import Prediction
 from gridpush_drake.objects.grid_object import GridObject
@@ -253,12 +255,10 @@ def AddPusher(meshcat: Meshcat, push: Push, i: int, begin: float, height: float)
     path = f"{PUSHES_PATH}/{i}"
     if push.length > 0:
         AddArrow(meshcat, f"{path}/arrow", push.xy[0], push.xy[-1], height + 4 * LAYER_DISTANCE)
-    meshcat.SetObject(
-        f"{path}/{FINGER_PATH}", Cylinder(push.radius, FINGER_FRACTION * height), FINGER_COLOR
-    )
+    shape = push.shape or PusherShape.disc(push.radius)
+    AddPrism(meshcat, f"{path}/{FINGER_PATH}", shape.area, FINGER_FRACTION * height, FINGER_COLOR)
     at = sample_times(push.t)
-    tips = np.column_stack([push.tip_at(at), np.zeros(len(at))])
-    middle = FINGER_FRACTION * height / 2
+    tips = np.column_stack([push.tip_at(at), push.yaw_at(at)])
     end = begin + END_POSE_TIME + push.duration + END_POSE_TIME
     RecordPoses(
         meshcat,
@@ -267,7 +267,6 @@ def AddPusher(meshcat: Meshcat, push: Push, i: int, begin: float, height: float)
         tips,
         begin=begin,
         end=end,
-        height=middle,
     )
     SwapVisible(
         meshcat, path, f"{PUSHES_PATH}/{i - 1}" if i else None, begin, 1 / FRAMES_PER_SECOND
@@ -281,7 +280,6 @@ def RecordPoses(
     poses: Array,
     begin: float,
     end: float,
-    height: float = 0.0,
 ) -> None:
     """Records how a path in Meshcat moves.
 
@@ -292,11 +290,10 @@ def RecordPoses(
         poses: planar poses (k, 3), m and rad.
         begin: the first pose is held from this time on, s.
         end: the last pose is held until a frame before this time, s.
-        height: height of the path's origin above the table, m.
     """
     still_held = end - 1 / FRAMES_PER_SECOND
     for time, pose in zip([begin, *times, still_held], [poses[0], *poses, poses[-1]], strict=True):
-        meshcat.SetTransform(path, MakePlanarTransform(pose, height), float(time))
+        meshcat.SetTransform(path, MakePlanarTransform(pose), float(time))
 
 
 def sample_times(times: Array) -> Array:

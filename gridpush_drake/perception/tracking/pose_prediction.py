@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
@@ -46,12 +47,15 @@ class PushModel:
     Attributes:
         obj: the object, in the body frame that is tracked.
         top: height of the object, m; a tip above it pushes nothing.
-        radius: radius of the finger's tip, m.
+        radius: radius of the finger's tip, m; of a pusher of another shape, how far it reaches from
+            its frame's origin.
+        shape: of a pusher that is no disc, whose x axis points where it moves; None of a disc.
     """
 
     obj: GridObject
     top: float
     radius: float
+    shape: PusherShape | None = None
 
 
 class Tip(NamedTuple):
@@ -136,7 +140,7 @@ def predict_pose(
     if not _may_push(last, now, model.top):
         return before
     try:
-        push = _make_push(last, now, model.radius)
+        push = _make_push(last, now, model.radius, model.shape)
         motion = simulate(
             Bodies(model.obj, read_params()), push, before.pose, regime="quasi_static"
         )
@@ -252,6 +256,10 @@ def _may_push(last: Tip, now: Tip, top: float) -> bool:
     return bool(places[:, 2].min() <= top and np.ptp(places[:, :2], axis=0).max() >= LEAST_STEP)
 
 
-def _make_push(last: Tip, now: Tip, radius: float) -> Push:
-    """Makes the straight push of a tip of a radius, m, from one place to another."""
-    return Push.along([last.t, now.t], np.array([last.place[:2], now.place[:2]]), radius)
+def _make_push(last: Tip, now: Tip, radius: float, shape: PusherShape | None = None) -> Push:
+    """Makes the straight push of a tip of a radius, m, or of a shape, from one place to another."""
+    places = np.array([last.place[:2], now.place[:2]])
+    if shape is None:
+        return Push.along([last.t, now.t], places, radius)
+    x, y = places[1] - places[0]
+    return Push.along([last.t, now.t], places, shape=shape, yaw=np.arctan2(y, x))

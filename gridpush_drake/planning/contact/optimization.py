@@ -109,7 +109,8 @@ def optimize_contact(
         model: one object, with its parameters.
         pose: (3,) where it lies, X_WB, m and rad.
         goal: (3,) where it should, X_WB, m and rad.
-        method: "gradient", "finite_difference" (the paper's) or "exhaustive".
+        method: "gradient", "finite_difference" (the paper's) or "exhaustive". For a pusher that is
+            no disc finite differences from the same starts take the place of the gradient.
         constraints: table, obstacles and further rules; none by default.
         options: what pushes may be chosen from, and how they are searched for.
 
@@ -123,7 +124,11 @@ def optimize_contact(
     q = check_vector(PlanningError, "pose", pose, 3)
     aim = check_vector(PlanningError, "goal", goal, 3)
     runner = make_runner(model, q, aim, constraints, options)
-    trials = SEARCH_METHODS[method](runner)[:MAX_CANDIDATES]
+    search = SEARCH_METHODS[method]
+    if options.pusher.shape is not None and method == "gradient":
+        method = "finite_difference"
+        search = search_by_walks
+    trials = search(runner)[:MAX_CANDIDATES]
     found = tuple(runner.finish(trial, runner.simulations) for trial in trials)
     start_cost = float(calc_goal_error(model.obj, q, aim))
     if not found:
@@ -162,7 +167,9 @@ def make_runner(
         pose=pose,
         goal=goal,
         reach=reach,
-        checker=(constraints or PushConstraints()).start_at(obj, pose, radius),
+        checker=(constraints or PushConstraints()).start_at(
+            obj, pose, options.pusher.choose_reach(obj)
+        ),
         options=options,
         distance_range=(least, greatest),
     )
@@ -218,6 +225,9 @@ DIFFERENCE_PLACE = 0.04
 
 DIFFERENCE_TURN = 0.25
 """First step of the finite-difference walk in direction, rad."""
+
+WALK_BUDGET = 4
+"""Simulations of the walks with a pusher that is no disc, as a multiple of the search's budget."""
 
 MAX_HALVINGS = 4
 """Number of step sizes, each half the one before, after which the finite-difference walk ends."""
@@ -378,6 +388,22 @@ def search_by_differences(runner: TrialRunner) -> list[Trial]:
         for trial in trials
     ]
     return sorted(walked, key=lambda trial: trial.cost)
+
+
+def search_by_walks(runner: TrialRunner) -> list[Trial]:
+    """Walks from screened starts, for a pusher whose gradient by the place is not calculated.
+
+    A disc in the middle of its front stands for the pusher where starts are screened. Returns one
+    trial for each start, best first.
+    """
+    starts = screen(runner)
+    ranked = zip(starts.arc_length, starts.piece, starts.angle, strict=True)
+    trials = _sort_allowed([runner.run(float(s), int(p), float(angle)) for s, p, angle in ranked])
+    first_step = DIFFERENCE_PLACE * runner.reach.perimeter
+    budget = WALK_BUDGET * runner.options.budget
+    for i, trial in enumerate(trials):
+        trials[i] = _walk_along(runner, trial, first_step, DIFFERENCE_TURN, MAX_HALVINGS, budget)
+    return sorted(trials, key=lambda trial: trial.cost)
 
 
 def _sort_allowed(trials: Sequence[Trial]) -> list[Trial]:

@@ -32,6 +32,7 @@ from gridpush_drake.dynamics.motion import Motion, MotionStatus
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER, Pusher
+from gridpush_drake.dynamics.scene.simulation import simulate_one
 from gridpush_drake.dynamics.simulation import PushSteps, check_friction, simulate_steps
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, transform, wrap_angle
@@ -234,12 +235,14 @@ class TrialRunner:
 
     def make_push(self, arc_length: float, angle: float, distance: float) -> Push:
         """Makes the push at an arc length, m, with an angle, rad, and of a distance, m."""
+        pusher = self.options.pusher
         return Push.on_outline(
             self.model.obj,
             arc_length,
             angle,
             distance,
-            radius=self.options.pusher.choose_radius(self.model.obj),
+            radius=pusher.choose_radius(self.model.obj),
+            shape=pusher.shape,
             speed=self.options.pusher.speed,
             pose=self.pose,
             clearance=self.options.pusher.clearance,
@@ -279,13 +282,7 @@ class TrialRunner:
             return failed
         steps = self._find_steps(push)
         times = steps.times
-        motion = simulate_steps(
-            self.model,
-            push,
-            pose=self.pose,
-            velocity=ZERO_TWIST,
-            steps=steps,
-        )
+        motion = self._simulate(push, steps)
         self.simulations += 1
         if motion.status in (MotionStatus.STARTED_OVERLAPPING, MotionStatus.NOT_CONVERGED):
             return failed
@@ -312,6 +309,12 @@ class TrialRunner:
         if best in (first, usable - 1):
             slope, H = _exclude(slope, H, 2)
         return replace(trial, slope=slope, curvature=H)
+
+    def _simulate(self, push: Push, steps: PushSteps) -> Motion:
+        """Simulates a push by the object at `pose`, at rest."""
+        if push.shape is not None:
+            return simulate_one(self.model, push, self.pose, times=steps.times, record=[])
+        return simulate_steps(self.model, push, pose=self.pose, velocity=ZERO_TWIST, steps=steps)
 
     def _calc_pose_derivatives(
         self, push: Push, motion: Motion, traveled: Array, step: int

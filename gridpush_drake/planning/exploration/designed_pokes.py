@@ -143,7 +143,7 @@ def make_pokes(
     q = np.asarray(pose, dtype=np.float64)
     radius = options.pusher.choose_radius(obj)
     reach = find_reachable_outline(obj, radius, options.pusher.clearance)
-    checker = (constraints or PushConstraints()).start_at(obj, q, radius)
+    checker = (constraints or PushConstraints()).start_at(obj, q, options.pusher.choose_reach(obj))
     believed = Model(obj, model.params, model.physics)
     pokes = []
     for s in reach.spread(reach.length / options.places)[0]:
@@ -154,6 +154,7 @@ def make_pokes(
                 angle,
                 options.distance,
                 radius=radius,
+                shape=options.pusher.shape,
                 speed=options.pusher.speed,
                 pose=q,
                 clearance=options.pusher.clearance,

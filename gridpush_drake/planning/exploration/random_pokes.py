@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from shapely import LineString, Point, Polygon
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS, PusherShape
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array, transform_shape
@@ -41,6 +41,7 @@ class RandomPokeOptions:
         speed: speed of the tip, m/s.
         slant: greatest angle between a push and the outline's normal, rad.
         tip_radius: radius of the finger's tip, m.
+        shape: of a pusher that is no disc, in place of the radius; None of a disc.
         clearance: gap between tip and outline at the beginning, m. The way through it comes on top
             of the distance.
         min_motion: a push is drawn again if it is predicted to move the object's cells by less than
@@ -59,6 +60,7 @@ class RandomPokeOptions:
     clearance: float = 0.008
     min_motion: float = 0.01
     candidates: int = 100
+    shape: PusherShape | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.distance[0] <= self.distance[1] < np.inf:
@@ -75,6 +77,11 @@ class RandomPokeOptions:
                 raise PushError(f"{name} is {getattr(self, name)!r}; expected a number >= 0 (m)")
         if self.candidates < 1:
             raise PushError(f"candidates is {self.candidates!r}; expected 1 or more")
+
+    @property
+    def reach(self) -> float:
+        """How far the pusher reaches from its center at most, m."""
+        return self.tip_radius if self.shape is None else self.shape.reach
 
 
 @dataclass(frozen=True)
@@ -128,7 +135,7 @@ class RandomPokes:
         """Proposes the next poke, see `PokeStrategy`; what it tells is not asked for."""
         obj = belief.obj
         q = np.array(pose, dtype=np.float64)
-        checker = rules.start_at(obj, q, self.options.tip_radius)
+        checker = rules.start_at(obj, q, self.options.reach)
         # The best of the fitting candidates that leave the region, and how bad it is: whether the
         # object leaves `keep_in`, and how far from the center it ends.
         nearest = None
@@ -177,7 +184,8 @@ class RandomPokes:
             place,
             slant,
             distance + options.clearance,
-            radius=options.tip_radius,
+            radius=options.tip_radius if options.shape is None else options.shape.radius,
+            shape=options.shape,
             speed=options.speed,
             pose=pose,
             clearance=options.clearance,
@@ -189,9 +197,15 @@ class RandomPokes:
         It has no room in a notch that is too narrow. It goes straight, and may not cross a place
         that was cut out of the finger's region, such as that of a post.
         """
+        options = self.options
         outline = transform_shape(pose, obj.outline)
-        gap = outline.distance(Point(poke.start))
-        if gap < (1 - ROUNDING) * (self.options.tip_radius + self.options.clearance):
+        if options.shape is None:
+            gap = outline.distance(Point(poke.start))
+            least = options.tip_radius + options.clearance
+        else:
+            gap = outline.distance(poke.find_area(0.0))
+            least = options.clearance
+        if gap < (1 - ROUNDING) * least:
             return False
         region = rules.finger_region
         return region is None or bool(region.covers(LineString(poke.xy)))

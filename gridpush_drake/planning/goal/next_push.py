@@ -195,13 +195,16 @@ class Robustness:
         if usable == len(times):
             return SafePush(planned=planned, ends=ends)
         whole = planned.push
-        push = Push(
-            start=whole.start,
-            velocity=whole.velocity,
-            duration=float(times[usable - 1]),
-            radius=whole.radius,
-            start_tangent=whole.start_tangent,
-        )
+        if whole.shape is not None:
+            push = whole.cut([0.0, times[usable - 1]])
+        else:
+            push = Push(
+                start=whole.start,
+                velocity=whole.velocity,
+                duration=float(times[usable - 1]),
+                radius=whole.radius,
+                start_tangent=whole.start_tangent,
+            )
         part = replace(planned, distance=float(distance), push=push, pose=ends[0].copy())
         return SafePush(planned=part, ends=ends)
 
@@ -218,8 +221,8 @@ class Robustness:
             edge_margin=self.constraints.edge_margin - self.options.leeway,
             pose_rule=None,
         )
-        radius = self.contact.pusher.choose_radius(self.obj)
-        checker = rules.start_at(self.obj, pose, radius)
+        reach = self.contact.pusher.choose_reach(self.obj)
+        checker = rules.start_at(self.obj, pose, reach)
         counts = np.minimum(
             checker.count_allowed_by_models(tip, poses), self._count_supported(poses)
         )

@@ -73,7 +73,7 @@ def decide_push(
     """
     obj = model.obj
     error = float(calc_goal_error(obj, pose, goal))
-    radius = rules.contact.pusher.choose_radius(obj)
+    radius = rules.contact.pusher.choose_reach(obj)
     status = check_ends(obj, pose, goal, rules.constraints, radius)
     if status is not None:
         return PushDecision(status, error)

@@ -153,7 +153,7 @@ def plan_pushes(
     aim = check_vector(PlanningError, "goal", goal, 3)
     pushes: list[PlannedPush] = []
     simulations = 0
-    radius = rules.contact.pusher.choose_radius(obj)
+    radius = rules.contact.pusher.choose_reach(obj)
     status = check_ends(obj, start, aim, rules.constraints, radius)
     if status is None:
         checker = rules.constraints.start_at(obj, start, radius)

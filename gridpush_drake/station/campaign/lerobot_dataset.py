@@ -120,7 +120,7 @@ def export_dataset(campaign: Path, out: Path, force: bool = False) -> Exported:
             "that was run with --record"
         )
     scenario = read_scenario(campaign / SCENARIO_FILE)
-    robot = find_robot(scenario.directives, scenario.packages)
+    robot = find_robot(scenario.directives, scenario.packages, scenario.pusher)
     scratch = _make_scratch(out)
     try:
         writer = _Writer(scratch, task, robot.arm_model)

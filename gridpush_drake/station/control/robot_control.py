@@ -16,6 +16,7 @@ from pydrake.systems.primitives import LogVectorOutput
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.segmentation import RecordOptions
@@ -76,7 +77,11 @@ class Learning:
 
 
 def make_identifier(
-    scenario: PushScenario, obj: GridObject, table_top: BaseGeometry, learning: Learning | None
+    scenario: PushScenario,
+    obj: GridObject,
+    table_top: BaseGeometry,
+    learning: Learning | None,
+    shape: PusherShape | None = None,
 ) -> GridIdentifier:
     """Makes the system that learns the object, which also knows the table's edge.
 
@@ -85,6 +90,7 @@ def make_identifier(
         obj: the object, as the robot knows it.
         table_top: the table's top, a polygon in W, m.
         learning: which pushes are learned from; None for the first `scenario.pokes.count`.
+        shape: of a pusher that is no disc; None of a disc.
     """
     learning = learning or Learning(max_pushes=scenario.pokes.count)
     return GridIdentifier(
@@ -93,6 +99,7 @@ def make_identifier(
         # A tip that is lower than the object's top may touch it.
         engaged_below=scenario.object_height,
         pusher_radius=obj.prior.pusher_radius,
+        pusher_shape=shape,
         max_learning_pushes=learning.max_pushes,
         table=make_surface(table_top).corners if isinstance(table_top, Polygon) else None,
         # A warm start saves little time. Without it `gridpush identify` finds the same parameters
@@ -104,9 +111,11 @@ def make_identifier(
     )
 
 
+YAW_LOG = "yaw_log"
 PUSHER_LOG = "pusher_log"
 POSE_LOG = "pose_log"
-"""Names of the systems that log the tip's state and the object's pose, as learned from."""
+"""Names of the systems that log the pusher's yaw (of a pusher that is no disc), the tip's state and
+the object's pose, as learned from."""
 
 
 def AddLogs(builder: DiagramBuilder, ports: dict[str, OutputPort], period: float) -> None:
@@ -175,6 +184,7 @@ def AddRobotControl(
     setting: StationSetting,
     learning: Learning | None,
     pusher_state: OutputPort,
+    pusher_yaw: OutputPort,
     object_pose: OutputPort,
     gripper_state: OutputPort | None,
     logged: dict[str, OutputPort] | None = None,
@@ -194,6 +204,7 @@ def AddRobotControl(
         setting: robot and scene.
         learning: which pushes are learned from; None for the first `scenario.pokes.count`.
         pusher_state: (6,) p_WP, m, and v_WP, m/s, of the tip.
+        pusher_yaw: (1,) angle by which the tool is turned about the vertical, rad.
         object_pose: (3,) X_WB of the object as the camera sees it, m and rad.
         gripper_state: (4,) state of the gripper's fingers, see `Station`; None without a gripper.
         logged: further ports to be logged whenever the identifier reads, by the logs' names.
@@ -224,7 +235,8 @@ def AddRobotControl(
         "executor", PushExecutor(setting.home, setting.obj.outline, reach, style, lookouts)
     )
     identifier = builder.AddNamedSystem(
-        "identifier", make_identifier(scenario, setting.obj, setting.table_top, learning)
+        "identifier",
+        make_identifier(scenario, setting.obj, setting.table_top, learning, robot.shape),
     )
 
     # With a gripper the executor of grasps stands between the executor of pushes and the arm, and a
@@ -288,6 +300,9 @@ def AddRobotControl(
                 builder.Connect(identifier.GetOutputPort(name), watcher.GetInputPort(name))
     builder.Connect(learned_state, identifier.GetInputPort("pusher_state"))
     logs = {PUSHER_LOG: learned_state, POSE_LOG: object_pose} | (logged or {})
+    if robot.shape is not None:
+        builder.Connect(pusher_yaw, identifier.GetInputPort("pusher_yaw"))
+        logs[YAW_LOG] = pusher_yaw
     AddLogs(builder, logs, 1 / scenario.camera.rate)
 
     # The station's ports.
@@ -295,6 +310,7 @@ def AddRobotControl(
     ExportOutputs(builder, executor, "executor", ("status",))
     ExportOutputs(builder, commander, "executor", ("tip_pose",))
     builder.ExportOutput(pusher_state, "pusher.state")
+    builder.ExportOutput(pusher_yaw, "pusher.yaw")
     builder.ExportOutput(object_pose, "object.pose")
     ExportOutputs(builder, identifier, "estimate", ESTIMATE_OUTPUTS)
     return RobotControl(

@@ -9,7 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.multibody.grid_object import GridObjectInPlant
 from gridpush_drake.station.control.grasping import ExportOutputs
-from gridpush_drake.station.robot.robot import Robot
+from gridpush_drake.station.robot.robot import GetTipInBody, Robot
 from gridpush_drake.station.scene.camera import (
     LOST_BELOW,
     AddIdealCamera,
@@ -108,14 +108,16 @@ def AddSensors(
     else:
         rgbd = AddRgbdCamera(builder, plant, scene_graph, scenario, [part])
         camera = StationCamera(
-            AddPoseEstimator(builder, rgbd, scenario, found, robot.finger.tip_radius), rgbd.noise
+            AddPoseEstimator(builder, rgbd, scenario, found, robot.finger.tip_radius, robot.shape),
+            rgbd.noise,
         )
     ground_truth = builder.AddNamedSystem(
         "ground_truth_sensor",
         PlanarPoseSensor(part.body.index(), period=1 / scenario.camera.rate, lowest=LOST_BELOW),
     )
+    tip_body, X_BP = GetTipInBody(plant, robot)
     tip = builder.AddNamedSystem(
-        "tip_sensor", PusherStateSensor(plant.GetBodyByName(robot.finger.tip_frame).index())
+        "tip_sensor", PusherStateSensor(tip_body.index(), X_BP.translation(), X_BP.rotation())
     )
     for sensor in (ground_truth, tip):
         builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))

@@ -174,6 +174,7 @@ def make_object_watch(setting: StationSetting, several: bool = False) -> ObjectW
         outline=outline,
         height=top,
         tip_radius=setting.robot.finger.tip_radius,
+        shape=setting.robot.shape,
         noise=noise,
         pushed_by_others=several,
         lag=calc_pose_age(camera) + 1 / camera.rate + OBJECT_MESSAGE_TIME,
@@ -248,7 +249,7 @@ class HardwareStation(Station):
         self._check_start(q, X_WP)
         kinematics: DifferentialInverseKinematicsIntegrator = self._control.kinematics
         kinematics.SetPositions(kinematics.GetMyMutableContextFromRoot(root_context), q)
-        self._control.executor.SetRest(root_context, X_WP.translation())
+        self._control.executor.SetRest(root_context, X_WP)
         self.RequestStop(root_context, 0.0)
 
     def RequestStop(self, root_context: Context, stop: float) -> None:
@@ -375,6 +376,7 @@ def MakeHardwareStation(
         setting,
         learning,
         pusher_state=tip.GetOutputPort("pusher_state"),
+        pusher_yaw=tip.GetOutputPort("pusher_yaw"),
         object_pose=object_pose,
         gripper_state=gripper_state,
         tip_bounds=make_bounds(setting),
@@ -505,7 +507,8 @@ def _AddGuard(
     )
     for port in ("position_measured", "torque_external", "time_measured"):
         builder.Connect(status[port], guard.GetInputPort(port))
-    builder.Connect(tip.GetOutputPort("pusher_state"), guard.GetInputPort("pusher_state"))
+    for port in ("pusher_state", "pusher_yaw"):
+        builder.Connect(tip.GetOutputPort(port), guard.GetInputPort(port))
     builder.Connect(tip.GetOutputPort("force"), guard.GetInputPort("force"))
     builder.ExportInput(guard.GetInputPort("stop"), "stop")
     ExportOutputs(builder, guard, "guard", ("status", "position"))

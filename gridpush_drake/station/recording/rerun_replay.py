@@ -1,14 +1,17 @@
 """Shows a recorded run in the Rerun viewer; `rerun_view` shows one while it goes on."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gridpush_drake.display.rerun_scene import RerunScene
-from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS, PusherShape
 from gridpush_drake.geometry.se2 import Array, make_rotation
+from gridpush_drake.pushes.push_csv import read_shape
 from gridpush_drake.station.recording.run_recording import (
     PICTURE_TOPIC,
+    PUSHER_TOPIC,
     SEEN_SIZE,
     RunRecording,
     read_planar_pose,
@@ -53,6 +56,7 @@ class _Shown:
         self._scene = scene
         self._poses: dict[str, Array] = {}
         self._pushes = 0
+        self._shape: PusherShape | None = None
 
     def show(self, topic: str, message: Any) -> None:
         """Shows a message of a topic."""
@@ -61,8 +65,12 @@ class _Shown:
         if topic == POSE_TOPIC:
             self._poses[name] = read_planar_pose(message.pose)
             scene.show_object(self._poses[name], f"world/{name}")
+        elif topic == PUSHER_TOPIC:
+            self._shape = read_shape(Path(topic), 1, message.data)
         elif topic == "/tip_pose":
-            scene.show_tip(read_point(message.pose.position), DEFAULT_PUSHER_RADIUS)
+            yaw = float(read_planar_pose(message.pose)[2])
+            tip = read_point(message.pose.position)
+            scene.show_tip(tip, DEFAULT_PUSHER_RADIUS, shape=self._shape, yaw=yaw)
         elif topic == "/push":
             self._pushes += 1
             first, last = message.poses

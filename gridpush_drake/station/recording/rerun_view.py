@@ -43,7 +43,9 @@ class RerunView:
 
     def _show_places(self, task: StationTask[Any]) -> None:
         tip = np.array(task.read("pusher.state"))[:3]
-        self._scene.show_tip(tip, task.station.robot.finger.tip_radius)
+        robot = task.station.robot
+        yaw = float(task.read("pusher.yaw")[0])
+        self._scene.show_tip(tip, robot.finger.tip_radius, robot.shape, yaw)
         self._scene.say(str(task.read("executor.status").phase))
         for name in task.object_names:
             pose = np.array(task.read(f"{name}.pose"))

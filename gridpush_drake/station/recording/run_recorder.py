@@ -14,6 +14,7 @@ writes one file. It needs the package `rosbags`, and no ROS:
     /center_of_mass              geometry_msgs/PoseWithCovarianceStamped, with each estimate
     /cells                       visualization_msgs/MarkerArray: the cells, colored by the masses
                                  of each estimate, in the frame `object`
+    /pusher                      std_msgs/String: the shape of a pusher that is no disc
     /push                        nav_msgs/Path, with each push that begins
     /other_0/object_pose, ...    in a task with several objects, the poses of those after the first,
     /other_0/center_of_mass, ... and their centers of mass; /tf and /cells have all objects
@@ -37,6 +38,7 @@ from gridpush_drake.extras import import_extra
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, make_rotation
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
+from gridpush_drake.pushes.push_csv import describe_shape
 from gridpush_drake.station.links.lcm.picture_messages import JPEG_QUALITY
 from gridpush_drake.station.links.ros2.ros2_robot import list_joints
 from gridpush_drake.station.links.ros2.ros2_topics import WORLD
@@ -46,6 +48,7 @@ from gridpush_drake.station.recording.run_recording import (
     GRIPPER_TOPIC,
     OBJECT_FRAME,
     PICTURE_TOPIC,
+    PUSHER_TOPIC,
     SEEN_SIZE,
     find_type,
     name_topic,
@@ -129,7 +132,7 @@ class RunRecorder:
         for sample in record.stream:
             tip = np.asarray(sample.tip, float)
             if np.isfinite(tip).all():
-                self._add(sample.t, "/tip_pose", self._make_pose(sample.t, tip, 0.0))
+                self._add(sample.t, "/tip_pose", self._make_pose(sample.t, tip, sample.yaw))
             x, y, theta = (float(number) for number in sample.pose)
             self._add_pose(sample.t, OBJECT_FRAME, x, y, theta)
         # `rosbags` writes a folder of its own; what is wanted is the one file in it.
@@ -169,6 +172,9 @@ class RunRecorder:
         if models.gripper is not None:
             self._fingers = list_joints(station.plant, models.gripper)
         self._load = TipLoad(MakeControlPlant(station.robot), station.robot)
+        shape = describe_shape(station.robot.shape)
+        if shape:
+            self._add(0.0, PUSHER_TOPIC, self._make("std_msgs/msg/String", shape))
 
     def _note_arm(self, task: StationTask[Any], time: float) -> None:
         robot = task.station.robot

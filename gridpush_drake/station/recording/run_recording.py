@@ -23,6 +23,9 @@ GRIPPER_TOPIC = "/gripper_states"
 GRIPPER_COMMAND_TOPIC = "/gripper_command"
 """Topics that only a run of a robot with a gripper has."""
 
+PUSHER_TOPIC = "/pusher"
+"""Topic of the shape of a pusher that is no disc, as a push log has it; the frame is the tip's."""
+
 TOPIC_TYPES = {
     "/object_pose": "geometry_msgs/msg/PoseStamped",
     "/tip_pose": "geometry_msgs/msg/PoseStamped",
@@ -35,6 +38,7 @@ TOPIC_TYPES = {
     "/tf": "tf2_msgs/msg/TFMessage",
     "/center_of_mass": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "/cells": "visualization_msgs/msg/MarkerArray",
+    PUSHER_TOPIC: "std_msgs/msg/String",
     "/push": "nav_msgs/msg/Path",
     "/phase": "std_msgs/msg/String",
     PICTURE_TOPIC: "sensor_msgs/msg/CompressedImage",

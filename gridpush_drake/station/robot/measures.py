@@ -48,6 +48,10 @@ Driver = Literal["iiwa", "position"]
 """Kind of an arm's driver, see `ControlMeasures.driver`."""
 
 
+PusherKind = Literal["finger", "gripper"]
+"""What pushes: the round tip of a finger, or the closed gripper."""
+
+
 class _Measures(StrictSchema):
     model_config = ConfigDict(frozen=True)
 
@@ -155,10 +159,13 @@ class SceneFiles(_Measures):
     Attributes:
         push: scene to push in.
         grasp: scene to push and grasp in; null if the robot has no gripper.
+        gripper: scene to push in with the closed gripper, which points down at the flange; null if
+            the robot has none.
     """
 
     push: Name
     grasp: Name | None = None
+    gripper: Name | None = None
 
 
 class ArmMeasures(_Measures):
@@ -224,6 +231,9 @@ class GripperMeasures(_Measures):
     Attributes:
         mount_frame: frame by which the gripper is carried.
         grasp_frame: frame in the middle between the pads.
+        tip_frame: frame by which the closed gripper is led where it pushes: in the middle of the
+            fingers' ends, with z along the fingers, and y along the way in which they close; null
+            of a gripper that does not push.
         fingers: the bodies that may touch what is grasped.
         max_force: greatest force with which both fingers press together, N.
         closing_speed: greatest change of the opening, m/s.
@@ -242,6 +252,7 @@ class GripperMeasures(_Measures):
 
     mount_frame: Name
     grasp_frame: Name
+    tip_frame: Annotated[Name | None, Field(description="a name, or null")] = None
     fingers: Annotated[
         tuple[str, ...], Strict(False), Field(min_length=2, description="names of bodies")
     ]

@@ -11,6 +11,7 @@ The fields of these files are in `station.robot.measures`.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -20,8 +21,9 @@ from pydrake.multibody.parsing import (
     PackageMap,
 )
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import FixedOffsetFrame, Joint, ModelInstanceIndex
+from pydrake.multibody.tree import FixedOffsetFrame, Joint, ModelInstanceIndex, RigidBody
 
+from gridpush_drake.dynamics.pusher import Pusher, PusherShape
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import is_file
 from gridpush_drake.multibody.parser import (
@@ -41,9 +43,27 @@ from gridpush_drake.station.robot.measures import (
     FingerMeasures,
     GripperMeasures,
     MeasuresType,
+    PusherKind,
     read_measures,
 )
 from gridpush_drake.yaml_file import suggest
+
+SceneKind = Literal["push", "grasp", "gripper"]
+"""A scene that a robot.yaml names, see `SceneFiles`."""
+
+
+@dataclass(frozen=True, eq=False)
+class GripperTip:
+    """The ends of a closed gripper's fingers, with which it pushes.
+
+    Attributes:
+        shape: the convex hull, seen from above, of all with which it touches objects. Its frame is
+            at the gripper's `tip_frame`.
+        depth: how far the fingers reach below that frame, m.
+    """
+
+    shape: PusherShape
+    depth: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +73,16 @@ class Robot:
     Attributes:
         arm: measures of the arm.
         finger: measures of the finger.
-        gripper: measures of the gripper; None if there is none.
+        gripper: measures of the gripper that grasps; None if there is none, or if it pushes.
         arm_model: name of the arm's model in the scene.
-        finger_model: name of the finger's model.
-        gripper_model: name of the gripper's model; empty if there is none.
+        finger_model: name of the finger's model, or of that of the gripper that pushes.
+        gripper_model: name of the model of the gripper that grasps; empty if there is none.
         directives: the scene's directives that add the arm and all that it carries, in the
             scene's order.
         packages: folders of packages by their names: the scenario's, and the robot.yaml's.
+        closed_gripper: measures of the gripper that pushes, closed, in place of a finger; None if a
+            finger pushes.
+        tip: what touches where a gripper pushes; None of a finger.
     """
 
     arm: ArmMeasures
@@ -70,6 +93,23 @@ class Robot:
     gripper_model: str
     directives: tuple[ModelDirective, ...]
     packages: Mapping[str, str]
+    closed_gripper: GripperMeasures | None = None
+    tip: GripperTip | None = None
+
+    @property
+    def shape(self) -> PusherShape | None:
+        """What pushes, seen from above; None if it is the round tip of a finger."""
+        return None if self.tip is None else self.tip.shape
+
+    @property
+    def tip_depth(self) -> float:
+        """How far the finger or the closed gripper reaches below its tip's frame, m."""
+        return self.finger.tip_radius if self.tip is None else self.tip.depth
+
+    @property
+    def pusher(self) -> Pusher:
+        """What pushes, at the usual speed."""
+        return Pusher(self.finger.tip_radius) if self.shape is None else Pusher(shape=self.shape)
 
 
 @dataclass(frozen=True)
@@ -88,13 +128,16 @@ class RobotInPlant:
 
 
 def find_robot(
-    directives: Sequence[ModelDirective], packages: Mapping[str, str] = NO_PACKAGES
+    directives: Sequence[ModelDirective],
+    packages: Mapping[str, str] = NO_PACKAGES,
+    pusher: PusherKind = "finger",
 ) -> Robot:
     """Finds the robot in a scene, and reads its measures.
 
     Args:
         directives: the directives of the scene.
         packages: folders of packages by their names, as the scenario has them.
+        pusher: what pushes, as the scenario says.
 
     Returns:
         The robot.
@@ -108,11 +151,21 @@ def find_robot(
     arm_model, arm = _find_measures(folders, "robot.yaml", ArmMeasures)
     finger_model, finger = _find_measures(folders, "finger.yaml", FingerMeasures)
     gripper_model, gripper = _find_measures(folders, "gripper.yaml", GripperMeasures)
+    closed = None
+    if pusher == "gripper" and arm is not None:
+        if finger is not None:
+            raise ScenarioError(
+                f"pusher is gripper, but the scene has a finger, {finger_model}; expected a scene "
+                "whose robot has a gripper alone, such as a robot.yaml's `scenes.gripper`"
+            )
+        finger_model, closed, finger = _take_gripper(gripper_model, gripper)
+        gripper_model, gripper = "", None
     if arm is None or finger is None:
         missing = "robot" if arm is None else "finger"
+        or_else = "" if arm is None or gripper is None else ", or pusher: gripper"
         raise ScenarioError(
             f"directives: there is no {missing}; "
-            f"expected a model in whose folder there is a {missing}.yaml"
+            f"expected a model in whose folder there is a {missing}.yaml{or_else}"
         )
     packages = _find_packages(folders[arm_model], arm) | dict(packages)
     package_map = MakePackageMap(packages)
@@ -128,7 +181,29 @@ def find_robot(
         gripper_model=gripper_model,
         directives=_list_carried(flat, arm_model),
         packages=packages,
+        closed_gripper=closed,
     )
+
+
+def _take_gripper(
+    model: str, gripper: GripperMeasures | None
+) -> tuple[str, GripperMeasures, FingerMeasures]:
+    """Takes a scene's gripper for its finger; how wide it is `MeasureGripperTip` finds out.
+
+    Raises:
+        ScenarioError: there is no gripper, or it does not say by which frame it is led.
+    """
+    if gripper is None:
+        raise ScenarioError(
+            "pusher is gripper, but the scene has no gripper; expected a model in whose folder "
+            "there is a gripper.yaml, or pusher: finger"
+        )
+    if gripper.tip_frame is None:
+        raise ScenarioError(
+            f"pusher is gripper, but tip_frame in the gripper.yaml of {model} is missing; expected "
+            "the name of a frame at the ends of its fingers, or pusher: finger"
+        )
+    return model, gripper, FingerMeasures(tip_frame=gripper.tip_frame, tip_radius=gripper.jaw_reach)
 
 
 def _find_packages(folder: Path, arm: ArmMeasures) -> dict[str, str]:
@@ -136,24 +211,26 @@ def _find_packages(folder: Path, arm: ArmMeasures) -> dict[str, str]:
     return {name: str((folder / place).resolve()) for name, place in arm.packages.items()}
 
 
-def list_robots(*, grasping: bool = False) -> list[str]:
-    """Lists the names of the robots that come with the package, or only of those that can grasp."""
+def list_robots(scene: SceneKind = "push") -> list[str]:
+    """Lists the names of the robots that come with the package and have a scene of a kind."""
     found = {
         path.parent.name: read_measures(path, ArmMeasures).scenes
         for path in _find_shipped().glob("*/robot.yaml")
     }
-    return sorted(
-        name for name, scenes in found.items() if scenes and (scenes.grasp or not grasping)
-    )
+    return sorted(name for name, scenes in found.items() if scenes and getattr(scenes, scene))
 
 
-def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDirective]:
+def make_robot_directives(
+    robot: str, *, grasping: bool | None, pusher: PusherKind = "finger"
+) -> list[ModelDirective]:
     """Makes the directives of a scene that has a robot at a table.
 
     Args:
         robot: name of a robot that comes with the package; or the folder of a robot, or its
             robot.yaml.
-        grasping: whether the scene is one to grasp in; None to grasp if the robot can.
+        grasping: whether the scene is one to grasp in; None to grasp if the robot can. A gripper
+            that pushes does not grasp.
+        pusher: what pushes.
 
     Returns:
         The directives.
@@ -175,12 +252,18 @@ def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDir
     scenes = arm.scenes
     if grasping is None:
         grasping = scenes is not None and scenes.grasp is not None
-    scene = scenes and (scenes.grasp if grasping else scenes.push)
+    what: SceneKind = "grasp" if grasping else "push"
+    if pusher == "gripper":
+        what = "gripper"
+    scene = scenes and getattr(scenes, what)
     if not scene:
-        what = "grasp" if grasping else "push"
-        why = " has no gripper" if grasping else ""
-        or_else = ", or a task that only pushes" if grasping else ""
-        able = ", ".join(list_robots(grasping=grasping))
+        why = "" if what == "push" else " has no gripper"
+        or_else = {
+            "push": "",
+            "grasp": ", or a task that only pushes",
+            "gripper": ", or pusher: finger",
+        }[what]
+        able = ", ".join(list_robots(what))
         raise ScenarioError(
             f"robot {robot}{why}: its robot.yaml has no `scenes: {{{what}: FILE}}`; "
             f"expected one of {able}{or_else}"
@@ -188,10 +271,9 @@ def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDir
     url = scene if "://" in scene else (path.resolve().parent / scene).as_uri()
     directives = [ModelDirective(add_directives=AddDirectives(file=url))]
     if path is not shipped:
-        key = "grasp" if grasping else "push"
         package_map = MakePackageMap(_find_packages(path.parent, arm))
         flat, folders = _flatten(directives, package_map)
-        _refuse_other_robot(path, f"scenes.{key} is {scene}", folders)
+        _refuse_other_robot(path, f"scenes.{what} is {scene}", folders)
         if arm.packages:
             # Whoever takes the directives does not know the robot.yaml's packages yet.
             for directive in flat:
@@ -312,25 +394,44 @@ def GetRobotInPlant(plant: MultibodyPlant, robot: Robot) -> RobotInPlant:
     """
     wanted = [(robot.arm_model, robot.arm.base_frame), (robot.arm_model, robot.arm.flange_frame)]
     wanted += [(robot.finger_model, robot.finger.tip_frame)]
-    if robot.gripper is not None:
-        wanted += [
-            (robot.gripper_model, name)
-            for name in (robot.gripper.mount_frame, robot.gripper.grasp_frame)
-        ]
+    for model, gripper in _list_grippers(robot):
+        wanted += [(model, name) for name in (gripper.mount_frame, gripper.grasp_frame)]
     for model, frame in wanted:
         if not plant.HasFrameNamed(frame, plant.GetModelInstanceByName(model)):
             raise ScenarioError(
                 f"directives: there is no frame {model}::{frame}, "
                 f"which the measures of {model} name"
             )
-    gripper = None
+    grasping = None
     if robot.gripper_model:
-        gripper = plant.GetModelInstanceByName(robot.gripper_model)
+        grasping = plant.GetModelInstanceByName(robot.gripper_model)
     return RobotInPlant(
         arm=plant.GetModelInstanceByName(robot.arm_model),
         finger=plant.GetModelInstanceByName(robot.finger_model),
-        gripper=gripper,
+        gripper=grasping,
     )
+
+
+def _list_grippers(robot: Robot) -> list[tuple[str, GripperMeasures]]:
+    """Lists the model and the measures of a robot's gripper, whether it grasps or pushes."""
+    grippers = {robot.gripper_model: robot.gripper, robot.finger_model: robot.closed_gripper}
+    return [(model, measures) for model, measures in grippers.items() if measures is not None]
+
+
+def GetTipInBody(plant: MultibodyPlant, robot: Robot) -> tuple[RigidBody, RigidTransform]:
+    """Gets the body that carries a robot's tip, and X_BP, the pose of the tip's frame in it."""
+    frame = plant.GetFrameByName(
+        robot.finger.tip_frame, plant.GetModelInstanceByName(robot.finger_model)
+    )
+    return frame.body(), frame.GetFixedPoseInBodyFrame()
+
+
+def list_touching_bodies(plant: MultibodyPlant, robot: Robot) -> list[RigidBody]:
+    """Lists the bodies with which a robot pushes: the finger's tip, or the gripper's fingers."""
+    if robot.closed_gripper is None:
+        return [plant.GetBodyByName(robot.finger.tip_frame)]
+    gripper = plant.GetModelInstanceByName(robot.finger_model)
+    return [plant.GetBodyByName(name, gripper) for name in robot.closed_gripper.fingers]
 
 
 def list_moving_joints(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[Joint]:
@@ -349,8 +450,8 @@ def check_robot(plant: MultibodyPlant, robot: Robot) -> None:
     """
     instances = GetRobotInPlant(plant, robot)
     _check_joints(plant, robot, instances.arm)
-    if instances.gripper is not None:
-        _check_gripper(plant, robot, instances.gripper)
+    for model, _ in _list_grippers(robot):
+        _check_gripper(plant, model)
 
 
 def _check_joints(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) -> None:
@@ -398,18 +499,18 @@ def _check_joints(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) 
         )
 
 
-def _check_gripper(plant: MultibodyPlant, robot: Robot, gripper: ModelInstanceIndex) -> None:
+def _check_gripper(plant: MultibodyPlant, model: str) -> None:
     """Checks that a gripper opens by two fingers that slide, the first the negative way.
 
     Drake's `SchunkWsgPositionController` moves no other.
     """
     limits = [
         (joint.position_lower_limits().tolist(), joint.position_upper_limits().tolist())
-        for joint in list_moving_joints(plant, gripper)
+        for joint in list_moving_joints(plant, plant.GetModelInstanceByName(model))
     ]
     if not (len(limits) == 2 and limits[0][1] == [0.0] and limits[1][0] == [0.0]):
         raise ScenarioError(
-            f"directives: gripper {robot.gripper_model} does not open by two joints; "
+            f"directives: gripper {model} does not open by two joints; "
             "expected the first to go from -x to 0 and the second from 0 to x, m"
         )
 
@@ -419,8 +520,8 @@ def AddRobot(
 ) -> RobotInPlant:
     """Adds a robot, and nothing else of its scene, to a plant before Finalize.
 
-    A gripper becomes one rigid body with its mount and grasp frames, so that the plant's positions
-    are those of the arm alone.
+    A gripper becomes one rigid body, closed, with the frames that its measures name, so that the
+    plant's positions are those of the arm alone.
 
     Args:
         plant: the plant to which the robot is added.
@@ -430,7 +531,9 @@ def AddRobot(
     Returns:
         The robot's model instances.
     """
-    kept = [d for d in robot.directives if not _is_of_gripper(d, robot)]
+    grippers = _list_grippers(robot)
+    models = [model for model, _ in grippers]
+    kept = [d for d in robot.directives if _model_added(d) not in models]
     ProcessDirectives(kept, MakeParser(plant, robot.packages))
     arm = plant.GetModelInstanceByName(robot.arm_model)
     for weld in list_world_welds(plant, arm):  # the model's own, to where it stands in its file
@@ -440,33 +543,46 @@ def AddRobot(
         plant.GetFrameByName(robot.arm.base_frame, arm),
         X_WB or RigidTransform(),
     )
-    if robot.gripper is not None:
-        _AddRigidGripper(plant, robot, robot.gripper)
+    for model, measures in grippers:
+        own = [d for d in robot.directives if _model_added(d) == model]
+        _AddRigidGripper(plant, robot.packages, own, measures)
     return GetRobotInPlant(plant, robot)
 
 
-def _is_of_gripper(directive: ModelDirective, robot: Robot) -> bool:
-    """Returns whether a directive adds or welds the robot's gripper."""
+def _model_added(directive: ModelDirective) -> str:
+    """Returns the name of the model that a directive adds or welds to something; "" for none."""
     if directive.add_model:
-        return bool(directive.add_model.name == robot.gripper_model)
-    return bool(directive.add_weld and _model_of(directive.add_weld.child) == robot.gripper_model)
+        return str(directive.add_model.name)
+    return _model_of(directive.add_weld.child) if directive.add_weld else ""
 
 
-def _AddRigidGripper(plant: MultibodyPlant, robot: Robot, measures: GripperMeasures) -> None:
-    """Adds a robot's gripper to a plant as one rigid body, with the inertia of all its parts."""
-    own = [d for d in robot.directives if _is_of_gripper(d, robot)]
+def _AddRigidGripper(
+    plant: MultibodyPlant,
+    packages: Mapping[str, str],
+    own: Sequence[ModelDirective],
+    measures: GripperMeasures,
+) -> None:
+    """Adds a gripper to a plant as one rigid body, with the inertia of all its parts.
+
+    Args:
+        plant: the plant.
+        packages: folders of packages by their names.
+        own: the directives that add and weld it.
+        measures: of the gripper.
+    """
     # The gripper with its fingers, in a plant of its own, to measure it.
     whole = MultibodyPlant(time_step=0.0)
     (model,) = (d.add_model for d in own if d.add_model)
-    (gripper,) = MakeParser(whole, robot.packages).AddModelsFromUrl(model.file)
+    (gripper,) = MakeParser(whole, packages).AddModelsFromUrl(model.file)
     whole.Finalize()
     context = whole.CreateDefaultContext()
     base = whole.GetFrameByName(measures.mount_frame, gripper).body()
     inertia = whole.CalcSpatialInertia(context, base.body_frame(), whole.GetBodyIndices(gripper))
     # The rigid body that replaces it.
-    instance = plant.AddModelInstance(robot.gripper_model)
+    instance = plant.AddModelInstance(model.name)
     rigid = plant.AddRigidBody(base.name(), instance, inertia)
-    for name in (measures.mount_frame, measures.grasp_frame):
+    names = (measures.mount_frame, measures.grasp_frame, measures.tip_frame)
+    for name in dict.fromkeys(filter(None, names)):
         X_BF = whole.GetFrameByName(name, gripper).CalcPose(context, base.body_frame())
         if not plant.HasFrameNamed(name, instance):  # a body's frame is there from the beginning
             plant.AddFrame(FixedOffsetFrame(name, rigid.body_frame(), X_BF, instance))

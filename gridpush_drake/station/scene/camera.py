@@ -36,6 +36,7 @@ from pydrake.systems.sensors import RgbdSensor
 from scipy.spatial import KDTree
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import CameraError, ScenarioError, StationError
 from gridpush_drake.geometry.outline_mesh import make_outline_mesh
 from gridpush_drake.geometry.se2 import transform_back
@@ -283,6 +284,7 @@ def AddPoseEstimator(
     scenario: PushScenario,
     found: "FoundObject",
     tip_radius: float,
+    shape: PusherShape | None = None,
 ) -> ObjectPoseEstimator:
     """Adds the system that tracks the object through the camera's pictures.
 
@@ -292,6 +294,7 @@ def AddPoseEstimator(
         scenario: the scenario, with the camera's rate and delay.
         found: the object as it was found in the photograph.
         tip_radius: radius of the finger's tip, m, for where its pushes take what it hides.
+        shape: of a pusher that is no disc; None of a disc.
     """
     config = scenario.camera
     height = found.obj.height or scenario.object_height
@@ -311,7 +314,7 @@ def AddPoseEstimator(
             latency=config.rgbd.output_delay,
             guess=found.pose,
             occluded_by=camera.occluded_by,
-            model=PushModel(found.obj, top=height, radius=tip_radius),
+            model=PushModel(found.obj, top=height, radius=tip_radius, shape=shape),
         ),
     )
     ConnectPictures(builder, camera, estimator)

@@ -31,6 +31,7 @@ from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.robot.arm import ArmReach, CalcStartPosture, MakeControlPlant
+from gridpush_drake.station.robot.gripper_tip import MeasureGripperTip
 from gridpush_drake.station.robot.robot import GetRobotInPlant, Robot, check_robot, find_robot
 from gridpush_drake.station.scene.camera import (
     AddSeenVisual,
@@ -195,12 +196,14 @@ def _resolve(scenario: PushScenario, known_object: GridObject | None) -> Resolve
         )
 
     # The scene and the robot in it.
-    robot = find_robot(scenario.directives, scenario.packages)
+    robot = find_robot(scenario.directives, scenario.packages, scenario.pusher)
     scene = _MakeScene(scenario, robot, obj, others, truth)
     plant = scene.plant
     inspector = scene.scene_graph.model_inspector()
     check_robot(plant, robot)
-    tip_radius = robot.finger.tip_radius
+    if robot.closed_gripper is not None:
+        robot = _MeasureGripper(scenario, robot, plant, inspector)
+    tip_radius = robot.tip_depth
     _check_heights(scenario, tip_radius)
     table_top = FindTableOutline(plant, inspector)
     scenario = scatter_objects(scenario, obj, others, table_top)
@@ -208,7 +211,8 @@ def _resolve(scenario: PushScenario, known_object: GridObject | None) -> Resolve
     _check_on_table(fields, obj, scenario.object_pose, table_top)
     _check_others(scenario, obj, others, table_top, tip_radius)
     _check_posts(scenario, obj, others, table_top, tip_radius)
-    _check_tip(robot, plant, inspector)
+    if robot.closed_gripper is None:
+        _check_tip(robot, plant, inspector)
     _check_reach(scenario, plant, robot)
 
     # The posture in which the arm begins. All controllers of the station share the control plant.
@@ -233,12 +237,25 @@ def _resolve(scenario: PushScenario, known_object: GridObject | None) -> Resolve
     )
 
 
+def _MeasureGripper(
+    scenario: PushScenario, robot: Robot, plant: MultibodyPlant, inspector: SceneGraphInspector
+) -> Robot:
+    """Returns the robot with what its closed gripper touches objects with, and how wide it is."""
+    top = max([scenario.object_height, *(other.height for other in scenario.others)])
+    tip = MeasureGripperTip(plant, inspector, robot, scenario.finger.push_height, top)
+    finger = robot.finger.model_copy(update={"tip_radius": tip.shape.reach})
+    return replace(robot, tip=tip, finger=finger)
+
+
 def _push_by(obj: GridObject, scenario: PushScenario, robot: Robot) -> GridObject:
     """Returns the object with the robot's finger as the pusher in its prior.
 
     With a planar base the object cannot tip, so that every cell bears its own weight however high
-    the finger pushes: the height of the push is then left out.
+    the finger pushes: the height of the push is then left out. So it is where a gripper pushes, for
+    the model knows no shifting loads of a pusher that is no disc.
     """
+    if robot.shape is not None:
+        return replace(obj, prior=replace(obj.prior, push_height=None))
     height = scenario.finger.push_height if scenario.base == "free" else None
     prior = replace(obj.prior, pusher_radius=robot.finger.tip_radius, push_height=height)
     return replace(obj, prior=prior)

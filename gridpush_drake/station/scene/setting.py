@@ -47,6 +47,7 @@ def make_style(scenario: PushScenario, robot: Robot) -> PushTrajectoryOptions:
         travel_height=finger.travel_height,
         push_height=finger.push_height,
         tip_radius=robot.finger.tip_radius,
+        shape=robot.shape,
     )
 
 

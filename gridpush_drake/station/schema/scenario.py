@@ -28,7 +28,7 @@ from gridpush_drake.multibody.ground_truth import (
     FRICTION_RANGE,
     Support,
 )
-from gridpush_drake.station.robot.measures import Packages
+from gridpush_drake.station.robot.measures import Packages, PusherKind
 from gridpush_drake.station.schema.camera_config import CameraConfig
 from gridpush_drake.station.schema.fields import (
     MAX_SIZE,
@@ -482,7 +482,9 @@ class PushScenario(Config):
             up.
         base: "free": the object can tip and be lifted; "planar": it only slides and turns, and
             each cell bears exactly its own weight.
-        finger: heights at which the finger pushes and travels.
+        pusher: "finger": the round tip of a finger pushes; "gripper": the robot's closed gripper,
+            which points down and has no finger beside it.
+        finger: heights at which the finger, or the gripper, pushes and travels.
         pokes: the pushes that explore, and those that test.
         camera: how the robot sees the object.
         truth: true masses and frictions of the object.
@@ -522,6 +524,7 @@ class PushScenario(Config):
     )
     unknown_inertia: Annotated[bool, Field(description="true or false")] = False
     base: Annotated[Literal["free", "planar"], Field(description="one of free, planar")] = "free"
+    pusher: Annotated[PusherKind, Field(description="one of finger, gripper")] = "finger"
     finger: FingerConfig = FingerConfig()
     pokes: PokeConfig = PokeConfig()
     camera: CameraConfig = CameraConfig()

@@ -247,7 +247,9 @@ def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:
         raise ScenarioError(f"{ROBOT_KEY} and directives are both given; expected one of them")
     beside = path.parent / robot
     directives = make_robot_directives(
-        str(beside) if is_file(beside / "robot.yaml") else robot, grasping=None
+        str(beside) if is_file(beside / "robot.yaml") else robot,
+        grasping=None,
+        pusher="gripper" if data.get("pusher") == "gripper" else "finger",
     )
     return {key: value for key, value in data.items() if key != ROBOT_KEY} | {
         "directives": directives

@@ -12,7 +12,7 @@ from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, EventStatus
 
-from gridpush_drake.station.robot.robot import GetRobotInPlant
+from gridpush_drake.station.robot.robot import GetRobotInPlant, list_touching_bodies
 from gridpush_drake.station.scene.other_objects import list_parts
 from gridpush_drake.station.simulated.station import Station
 from gridpush_drake.systems.base.messages import GraspPhase, PushPhase, SteerPhase
@@ -122,7 +122,7 @@ class LimitMonitor:
         robot = station.robot
         self._object = station.object_in_plant.body.index()
         self._others = {part.body_index for part in list_parts(station.others)}
-        self._tip = plant.GetBodyByName(robot.finger.tip_frame).index()
+        self._tip = {body.index() for body in list_touching_bodies(plant, robot)}
         fingers = () if robot.gripper is None else robot.gripper.fingers
         self._fingers = {plant.GetBodyByName(name, gripper).index() for name in fingers}
         inspector = station.scene_graph.model_inspector()
@@ -194,19 +194,19 @@ class LimitMonitor:
         The object may touch tip and table, and the gripper's fingers while they grip. Other objects
         may touch the table, and, where they are pushed, the tip and each other.
         """
-        may_touch_object = {self._tip, *self._table}
+        may_touch_object = {*self._tip, *self._table}
         may_touch_others = set(self._table)
         if self._pushes_others:
             may_touch_object |= self._others
-            may_touch_others |= {self._tip, *self._others}
+            may_touch_others |= {*self._tip, *self._others}
         if gripping:
             may_touch_object |= self._fingers
         on_tip = np.zeros(3)
         for i in range(contacts.num_point_pair_contacts()):
             contact = contacts.point_pair_contact_info(i)
             pair = {contact.bodyA_index(), contact.bodyB_index()}
-            if self._tip in pair:
-                sign = 1.0 if contact.bodyB_index() == self._tip else -1.0
+            if self._tip & set(pair):
+                sign = 1.0 if contact.bodyB_index() in self._tip else -1.0
                 on_tip += sign * contact.contact_force()
             if self._object in pair and pair & may_touch_object:
                 continue

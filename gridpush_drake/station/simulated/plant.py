@@ -25,7 +25,13 @@ from gridpush_drake.multibody.table_rim import AddTableRim
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.robot.arm_driver import SetJointServos
-from gridpush_drake.station.robot.robot import GetRobotInPlant, Robot, RobotInPlant
+from gridpush_drake.station.robot.robot import (
+    GetRobotInPlant,
+    Robot,
+    RobotInPlant,
+    list_moving_joints,
+    list_touching_bodies,
+)
 from gridpush_drake.station.scene.camera import AddSeenVisual
 from gridpush_drake.station.scene.contents import AddScene, MakeSupport, MakeTruth
 from gridpush_drake.station.scene.other_objects import AddOthers
@@ -51,8 +57,12 @@ def AddStationScene(
         for body in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE_INSTANCE))
         for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity)
     )
-    tip = plant.GetBodyByName(robot.finger.tip_frame)
-    SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(tip)])
+    pushing = [
+        geometry
+        for body in list_touching_bodies(plant, robot)
+        for geometry in plant.GetCollisionGeometriesForBody(body)
+    ]
+    SetPartner(plant, scene_graph, [*table, *pushing])
     instances = GetRobotInPlant(plant, robot)
     SetJointServos(plant, robot, instances.arm)
     return instances, table
@@ -110,6 +120,10 @@ class World:
         plant_context = plant.GetMyMutableContextFromRoot(root_context)
         plant.SetPositions(plant_context, arm, self.setting.q_start)
         plant.SetVelocities(plant_context, arm, np.zeros_like(self.setting.q_start))
+        if self.setting.robot.closed_gripper is not None:
+            # What drives a real gripper does not give way.
+            for joint in list_moving_joints(plant, self.robot_in_plant.finger):
+                joint.Lock(plant_context)
         SetGridObjectPose(plant, plant_context, self.object_in_plant, scenario.object_pose)
         if seed is None:
             return None

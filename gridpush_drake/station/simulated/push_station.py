@@ -379,6 +379,7 @@ def _add_control(
         world.setting,
         learning,
         pusher_state=sensors.tip.GetOutputPort("pusher_state"),
+        pusher_yaw=sensors.tip.GetOutputPort("pusher_yaw"),
         object_pose=sensors.camera.GetPose(),
         all_seen=None if scene_view is None else scene_view.all_seen,
         gripper_state=None if gripper is None else world.plant.get_state_output_port(gripper),

@@ -19,7 +19,12 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.images.camera_view import CameraView
 from gridpush_drake.pushes.segmentation import Sample
 from gridpush_drake.pushes.stream import make_samples
-from gridpush_drake.station.control.robot_control import POSE_LOG, PUSHER_LOG, RobotControl
+from gridpush_drake.station.control.robot_control import (
+    POSE_LOG,
+    PUSHER_LOG,
+    YAW_LOG,
+    RobotControl,
+)
 from gridpush_drake.station.scene.setting import StationSetting
 from gridpush_drake.systems.base.messages import GraspCommand, PressCommand, PushCommand
 from gridpush_drake.systems.execution.push_executor import plan_push
@@ -123,6 +128,7 @@ class Station(Diagram):
         self.home = setting.home
         self.truth = truth
         self.style = control.executor.style
+        self._rest = control.executor.home
         self.reach = control.reach
         self._grasping = control.grasping
         self._pressing = control.pressing
@@ -130,7 +136,7 @@ class Station(Diagram):
 
     def FindObstacle(self, command: PushCommand) -> str | None:
         """Says why the arm cannot carry out a push when it comes from its home; None if it can."""
-        return plan_push(command, self.home, self.style, self.reach, self.home)[1]
+        return plan_push(command, self._rest, self.style, self.reach, self._rest)[1]
 
     def FindGraspObstacle(self, command: GraspCommand) -> str | None:
         """Says why the arm cannot carry out a grasp when it comes from its home; None if it can.
@@ -173,7 +179,12 @@ class Station(Diagram):
         """
         t, tip = self._find_log(root_context, PUSHER_LOG)
         _, poses = self._find_log(root_context, POSE_LOG)
-        return make_samples(t, tip[:, :3], tip[:, 3:], poses)
+        samples = make_samples(t, tip[:, :3], tip[:, 3:], poses)
+        if not self.HasSubsystemNamed(YAW_LOG):
+            return samples
+        _, yaw = self._find_log(root_context, YAW_LOG)
+        turned = zip(samples, yaw[:, 0].tolist(), strict=True)
+        return [sample._replace(yaw=angle) for sample, angle in turned]
 
     def LearnAll(self, root_context: Context) -> Identification | None:
         """Learns from all that the identifier has read in a Context; see `GridIdentifier.LearnAll`.

@@ -139,6 +139,7 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
 
     lost_after = LOST_AFTER
     timeout = 10.0
+    takes_gripper = True
 
     def AddController(self, builder: DiagramBuilder) -> PokePolicy:
         """Adds the policy, which pokes as the scenario's `pokes` say."""
@@ -216,6 +217,7 @@ def make_policy(station: Station, test_pushes: int = 0) -> PokePolicy:
             speed=pokes.speed,
             slant=pokes.slant,
             tip_radius=station.robot.finger.tip_radius,
+            shape=station.robot.shape,
             clearance=pokes.clearance,
         ),
         PokeRegion(keep_in, None if middle.is_empty else middle),

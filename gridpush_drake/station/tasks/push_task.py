@@ -3,7 +3,7 @@
 It is learned from the very pushes that bring it there.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from gridpush_drake.display.overlay import Mark, to_css
 from gridpush_drake.display.shapes import AddGhost, MakePlanarTransform
-from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
@@ -124,6 +123,7 @@ class PushTask(StationTask[PushTaskRecord]):
     lost_after = 5.0
     timeout = 15.0
     learning = Learning()
+    takes_gripper = True
 
     def AddController(self, builder: DiagramBuilder) -> ContactPointController:
         """Adds the controller that pushes to the scenario's goal.
@@ -214,7 +214,7 @@ def make_rules(station: Station, surface: SupportSurface) -> GoalRules:
         push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
     )
     contact = ContactOptions(
-        Pusher(station.robot.finger.tip_radius, scenario.pokes.speed, clearance),
+        replace(station.robot.pusher, speed=scenario.pokes.speed, clearance=clearance),
         distance_range=(clearance + MIN_PUSH, MAX_PUSH),
     )
     return GoalRules(
@@ -239,7 +239,7 @@ def check_goal(obj: GridObject, goal: Array, rules: GoalRules, field: str = "goa
     # Without a region the finger comes everywhere.
     if rules.constraints.finger_region is not None:
         region = rules.constraints.finger_region
-        check_reach(field, obj, goal, region, rules.contact.pusher.choose_radius(obj))
+        check_reach(field, obj, goal, region, rules.contact.pusher.choose_reach(obj))
 
 
 def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float) -> None:

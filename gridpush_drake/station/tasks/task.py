@@ -287,6 +287,9 @@ class StationTask(Generic[RecordType]):
     pushes_others: ClassVar[bool] = False
     """Whether the task is about the other objects on the table, too: it pushes and learns them."""
 
+    takes_gripper: ClassVar[bool] = False
+    """Whether the robot may push with its closed gripper in the task, in place of a finger."""
+
     learning: ClassVar[Learning | None] = None
     """From which pushes the station learns; None for the first `pokes.count` of the scenario."""
 
@@ -371,9 +374,26 @@ class StationTask(Generic[RecordType]):
         Raises:
             ScenarioError: it cannot; the message has all faults.
         """
-        faults = [*cls.list_faults(resolved), *more]
+        faults = [*cls._list_pusher_faults(resolved), *cls.list_faults(resolved), *more]
         if faults:
             raise ScenarioError(". Also: ".join(faults))
+
+    @classmethod
+    def _list_pusher_faults(cls, resolved: ResolvedScenario) -> list[str]:
+        """Lists why a gripper cannot push in the task, in place of a finger."""
+        if resolved.robot.shape is None:
+            return []
+        if not cls.takes_gripper:
+            return [
+                "pusher is gripper, which is for tasks of straight pushes of one object, identify "
+                "and push; expected pusher: finger, and a scene with a finger"
+            ]
+        if resolved.scenario.unknown_inertia:
+            return [
+                "pusher is gripper, and unknown_inertia is true, which asks for presses with a "
+                "finger; expected pusher: finger, or unknown_inertia: false"
+            ]
+        return []
 
     @classmethod
     def choose_steer_speed(cls, scenario: PushScenario) -> float | None:
@@ -704,7 +724,10 @@ def AddEstimateVisualizer(
     shown = [ShownObject(part.obj, part.height, int(part.body.index())) for part in parts]
     # The robot's object may have other cells than the true one.
     shown[0] = replace(shown[0], obj=station.obj)
-    visualizer = builder.AddNamedSystem("estimate_visualizer", EstimateVisualizer(shown, meshcat))
+    visualizer = builder.AddNamedSystem(
+        "estimate_visualizer",
+        EstimateVisualizer(shown, meshcat, pusher_shape=station.robot.shape),
+    )
     builder.Connect(station.GetOutputPort("body_poses"), visualizer.GetInputPort("body_poses"))
     names = ("object", *(other.name for other in station.others[: len(parts) - 1]))
     poses = [station.GetOutputPort(f"{name}.pose_true") for name in names]

@@ -1,0 +1,169 @@
+"""Arms that push with their closed grippers: what touches, how it is led, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+import yaml
+from pydrake.systems.analysis import Simulator
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.identification.model import Model
+from gridpush_drake.multibody.parser import find_models
+from gridpush_drake.station.control.robot_control import Learning
+from gridpush_drake.station.hardware.hardware_station import make_object_watch
+from gridpush_drake.station.robot.robot import find_robot, list_robots, make_robot_directives
+from gridpush_drake.station.scene.resolve import resolve
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.schema.scenario_file import read_scenario
+from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
+from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.station.tasks.registry import TASK_KINDS
+from gridpush_drake.systems.base.messages import PushCommand
+from gridpush_drake.systems.execution.push_executor import find_tool_yaw
+
+SIZES = {"panda": (0.022, 0.052), "iiwa14": (0.02, 0.035), "ur5e": (0.02, 0.035)}
+"""How thick and how wide the closed fingers are in the robots' models, as low as 30 mm, m."""
+
+CONTACT = 0.42
+SLANT = -0.4
+"""Where on the hammer's outline it is pushed, m, and how far from straight into it, rad."""
+
+SPEED = 0.03
+DISTANCE = 0.08
+CLEARANCE = 0.008
+
+
+def make_scenario(robot="panda", **fields):
+    directives = make_robot_directives(robot, grasping=False, pusher="gripper")
+    return PushScenario(pusher="gripper", directives=directives, **fields)
+
+
+@pytest.fixture(scope="module")
+def station():
+    scenario = make_scenario(base="planar", object_pose=[0.6, 0.0, 0.3])
+    return MakePushStation(scenario, learning=Learning(max_pushes=0))
+
+
+@pytest.mark.parametrize("robot", SIZES)
+def test_the_shape_is_that_of_the_robots_own_model(robot):
+    resolved = resolve(make_scenario(robot))
+    box = shapely.box(*(-np.array(SIZES[robot]) / 2), *(np.array(SIZES[robot]) / 2))
+    shape = resolved.robot.shape
+    assert shape.area.symmetric_difference(box).area < 1e-3 * box.area
+    assert resolved.robot.gripper is None and resolved.obj.prior.push_height is None
+
+
+def test_a_lower_object_is_touched_by_the_fingers_ends_alone():
+    """The Panda's fingers are wider from 27 mm above the table on."""
+    low = resolve(make_scenario(object_height=0.02)).robot.shape.area.bounds
+    np.testing.assert_allclose(low, (-0.0105, -0.021, 0.0105, 0.021), atol=1e-6)
+
+
+def test_a_push_by_the_plant_is_led_logged_and_as_simulated(station):
+    shape = station.robot.shape
+    pose = np.array(station.scenario.object_pose)
+    planned = Push.on_outline(
+        station.obj,
+        CONTACT,
+        SLANT,
+        DISTANCE,
+        radius=shape.radius,
+        shape=shape,
+        speed=SPEED,
+        pose=pose,
+        clearance=CLEARANCE,
+    )
+    command = PushCommand.from_push(1, planned)
+    assert station.FindObstacle(command) is None
+    context = station.CreateDefaultContext()
+    station.SetStart(context)
+    simulator = Simulator(station, context)
+    monitor = LimitMonitor(station, period=0.005)
+    simulator.set_monitor(monitor)
+    station.GetInputPort("push_command").FixValue(context, command.to_vector())
+    status = station.GetOutputPort("executor.status")
+    while not (status.Eval(context).ready and status.Eval(context).executed):
+        simulator.AdvanceTo(context.get_time() + 0.1)
+        assert context.get_time() < 15.0
+
+    assert make_object_watch(station._world.setting).shape is shape
+
+    # The tool was turned to where it pushed, and the push was logged with its shape and its yaw.
+    (seen,) = station.GetOutputPort("estimate.push_log").Eval(context)
+    assert seen.push.shape is shape
+    assert np.abs(wrap_angle(seen.push.yaw - find_tool_yaw(command.direction))).max() < 0.01
+    np.testing.assert_allclose(seen.push.start, planned.start, atol=1e-3)
+    assert monitor.limit_report.ok, monitor.limit_report
+
+    # The plant's gripper moved the object as the pushing model says.
+    true_pose = station.GetOutputPort("object.pose_true").Eval(context)
+    truth = Model(station.obj, replace(station.truth, push_height=0.0))
+    expected = simulate(truth, planned, pose, regime="quasi_static").final_pose
+    cells = station.obj.cells_at(np.array([pose, expected, true_pose]))
+    moved = np.linalg.norm(cells[1] - cells[0], axis=1).mean()
+    error = np.linalg.norm(cells[2] - cells[1], axis=1).mean()
+    assert moved > 0.03
+    assert error < 0.1 * moved
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            "robot: gantry\npusher: gripper",
+            "robot gantry has no gripper: its robot.yaml has no `scenes: {gripper: FILE}`; "
+            "expected one of iiwa14, panda, ur5e, xarm6, or pusher: finger",
+        ),
+        ("pusher: gripper", "pusher is gripper, but the scene has a finger, finger; expected"),
+        ("pusher: hand", "pusher is 'hand'; expected one of finger, gripper"),
+    ],
+)
+def test_a_robot_that_cannot_is_refused(tmp_path, text, says):
+    path = tmp_path / "cell.yaml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError) as error:
+        resolve(read_scenario(path), path)
+    assert str(path) in str(error.value) and says in str(error.value)
+
+
+def test_a_scene_without_a_finger_says_that_its_gripper_could_push():
+    directives = make_robot_directives("ur5e", grasping=False, pusher="gripper")
+    with pytest.raises(ScenarioError, match=r"there is no finger; .* or pusher: gripper"):
+        find_robot(directives)
+    assert list_robots("gripper") == ["iiwa14", "panda", "ur5e", "xarm6"]
+
+
+def test_a_gripper_that_does_not_say_where_its_tip_is_is_refused(tmp_path):
+    folder = find_models() / "grippers/wsg_50"
+    measures = yaml.safe_load((folder / "gripper.yaml").read_text())
+    del measures["tip_frame"]
+    (tmp_path / "gripper.yaml").write_text(yaml.safe_dump(measures))
+    (tmp_path / "wsg_50.sdf").write_text((folder / "wsg_50.sdf").read_text())
+    directives = make_robot_directives("iiwa14", grasping=False, pusher="gripper")
+    text = (find_models() / "scenes/iiwa_gripper.dmd.yaml").read_text()
+    scene = tmp_path / "scene.dmd.yaml"
+    own = (tmp_path / "wsg_50.sdf").as_uri()
+    scene.write_text(text.replace("package://gridpush_drake/grippers/wsg_50/wsg_50.sdf", own))
+    directives[0].add_directives.file = scene.as_uri()
+    with pytest.raises(
+        ScenarioError, match=r"tip_frame in the gripper\.yaml of gripper is missing"
+    ):
+        find_robot(directives, pusher="gripper")
+
+
+@pytest.mark.parametrize(
+    ("task", "fields", "says"),
+    [
+        ("follow", {}, "pusher is gripper, which is for tasks of straight pushes of one object"),
+        ("separate", {}, "pusher is gripper"),
+        ("push", {"unknown_inertia": True}, "and unknown_inertia is true"),
+    ],
+)
+def test_a_task_that_needs_a_finger_is_refused(task, fields, says):
+    with pytest.raises(ScenarioError, match=says):
+        TASK_KINDS[task].check(resolve(make_scenario(**fields)))
