@@ -148,7 +148,7 @@ def test_a_gripper_that_does_not_say_where_its_tip_is_is_refused(tmp_path):
     text = (find_models() / "scenes/iiwa_gripper.dmd.yaml").read_text()
     scene = tmp_path / "scene.dmd.yaml"
     own = (tmp_path / "wsg_50.sdf").as_uri()
-    scene.write_text(text.replace("package://gridpush_drake/grippers/wsg_50/wsg_50.sdf", own))
+    scene.write_text(text.replace("package://gridpush_drake/grippers/wsg_50/wsg_50.urdf", own))
     directives[0].add_directives.file = scene.as_uri()
     with pytest.raises(
         ScenarioError, match=r"tip_frame in the gripper\.yaml of gripper is missing"
