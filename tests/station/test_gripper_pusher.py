@@ -143,11 +143,11 @@ def test_a_gripper_that_does_not_say_where_its_tip_is_is_refused(tmp_path):
     measures = yaml.safe_load((folder / "gripper.yaml").read_text())
     del measures["tip_frame"]
     (tmp_path / "gripper.yaml").write_text(yaml.safe_dump(measures))
-    (tmp_path / "wsg_50.sdf").write_text((folder / "wsg_50.sdf").read_text())
+    (tmp_path / "wsg_50.urdf").write_text((folder / "wsg_50.urdf").read_text())
     directives = make_robot_directives("iiwa14", grasping=False, pusher="gripper")
     text = (find_models() / "scenes/iiwa_gripper.dmd.yaml").read_text()
     scene = tmp_path / "scene.dmd.yaml"
-    own = (tmp_path / "wsg_50.sdf").as_uri()
+    own = (tmp_path / "wsg_50.urdf").as_uri()
     scene.write_text(text.replace("package://gridpush_drake/grippers/wsg_50/wsg_50.urdf", own))
     directives[0].add_directives.file = scene.as_uri()
     with pytest.raises(
