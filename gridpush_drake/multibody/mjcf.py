@@ -98,9 +98,7 @@ MJCF_NOTICE = (
 Element = ElementTree.Element
 
 
-def calc_springs(
-    load: Array, sinkage: float, inverse: float, damping_ratio: float = DAMPING_RATIO
-) -> tuple[Array, Array, Array]:
+def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Array, Array]:
     """Calculates MuJoCo's numbers for contacts that give way under loads.
 
     The force is stiffness times depth, at any depth, as the impedance does not vary with it.
@@ -109,7 +107,6 @@ def calc_springs(
         load: (K,) loads of the contacts, N.
         sinkage: how far they give way, m.
         inverse: inverse of the mass that MuJoCo takes for granted (`body_invweight0`), 1/kg.
-        damping_ratio: of a mass that weighs the load.
 
     Returns:
         `solref` (K, 2), `solreffriction` (K, 2), and the impedance (K,), the first two entries of
@@ -117,7 +114,7 @@ def calc_springs(
     """
     impedance = np.maximum(inverse / (inverse + FOOT_REGULARIZATION / load), MIN_IMPEDANCE)
     stiffness = load / sinkage
-    damping = 2 * damping_ratio * load / np.sqrt(sinkage * GRAVITY)
+    damping = 2 * DAMPING_RATIO * load / np.sqrt(sinkage * GRAVITY)
     scale = inverse * (1 - impedance)
     # Negative numbers are stiffness and damping themselves, and no time and ratio.
     springs = np.column_stack([-stiffness * scale, -damping * scale])

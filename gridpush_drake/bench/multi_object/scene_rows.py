@@ -20,8 +20,8 @@ from gridpush_drake.bench.truth.mujoco_world import (
     describe_inertia,
     describe_options,
     describe_pairs,
-    set_springs,
 )
+from gridpush_drake.bench.worlds.mujoco_plant import set_springs
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push

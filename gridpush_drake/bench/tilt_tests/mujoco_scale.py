@@ -35,8 +35,8 @@ from gridpush_drake.bench.truth.mujoco_world import (
     describe_options,
     describe_pairs,
     describe_plates,
-    set_springs,
 )
+from gridpush_drake.bench.worlds.mujoco_plant import set_springs
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array

@@ -27,7 +27,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.bench.worlds.mujoco_plant import list_pusher_parts
+from gridpush_drake.bench.worlds.mujoco_plant import (
+    PUSHER_SINKAGE,
+    list_pusher_parts,
+    set_springs,
+)
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
@@ -42,7 +46,6 @@ from gridpush_drake.multibody.mjcf import (
     TABLE_HALF,
     TIME_STEP,
     WALL_RADIUS,
-    calc_springs,
 )
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -80,10 +83,6 @@ TURNING_JOINT = f'<joint type="hinge" axis="0 0 1" armature="{PUSHER_INERTIA}"/>
 
 PUSHER_HALF_LENGTH = 0.1
 """Half the length of the pusher, a vertical rod, m."""
-
-PUSHER_SINKAGE = 1e-4
-"""Distance by which the pusher would sink into the body's side if it pushed with the body's weight,
-m."""
 
 SETTLE_TIME = 1.0
 """Time that a body is given to come to rest on its feet before it is first put down, s."""
@@ -574,27 +573,3 @@ def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
     set_springs(model, "foot", body.load, body.sinkage, foot)
     set_springs(model, "wall", weight, PUSHER_SINKAGE, foot + pusher)
     set_springs(model, "edge", weight / EDGE_BEARING, body.sinkage, foot)
-
-
-def set_springs(
-    model: "mujoco.MjModel", kind: str, load: Array, sinkage: float, inverse: float
-) -> None:
-    """Lets pairs of geoms give way under loads; see `calc_springs`.
-
-    Args:
-        model: the model.
-        kind: kind of the pairs, see `describe_pairs`.
-        load: (K,) load of each pair, in the order of their geoms, or (1,) of all, N.
-        sinkage: how far they give way, m.
-        inverse: see `calc_springs`.
-    """
-    # MuJoCo sorts the pairs; one geom of each comes in the order in which they were described.
-    names = [model.pair(i).name for i in range(model.npair)]
-    rows = sorted(
-        (i for i, name in enumerate(names) if name.startswith(f"{kind}_")),
-        key=lambda i: max(model.pair_geom1[i], model.pair_geom2[i]),
-    )
-    springs, slip, impedance = calc_springs(load, sinkage, inverse)
-    model.pair_solref[rows] = springs
-    model.pair_solreffriction[rows] = slip
-    model.pair_solimp[rows, :2] = impedance[:, None]

@@ -1,8 +1,8 @@
 """Pushes of a grid object in MuJoCo, by the very file that `gridpush export` writes for it.
 
 The pusher is a vertical rod, or several that are joined (by plates where the pusher is a polygon),
-led along the push's path as the file's head says that it should be. The walls that it touches are
-made softer than the file has them, see `MujocoPlant`. Needs the package `mujoco`.
+led along the push's path as the file's head says that it should be. The walls give way to it as
+the object's feet do to the table, see `multibody.mjcf`. Needs the package `mujoco`.
 """
 
 from itertools import pairwise
@@ -38,13 +38,12 @@ FINGER_MASS = 0.01
 FINGER_ARMATURE = 1000.0
 """Inertia of the finger's joints, kg and kg m²: what it touches does not move it."""
 
-WALL_SINKAGE = 3e-4
-"""Distance by which the finger would sink into the ring of walls along the outline if it pushed
-with the object's weight, m."""
+PUSHER_SINKAGE = 1e-4
+"""Distance by which a pusher would sink into an object's side if it pushed with the object's
+weight, m."""
 
-WALL_DAMPING_RATIO = 0.06
-"""Damping ratio of the finger on that ring. It damps slip, too: a larger one falsifies the friction
-of a finger that slides, and with a smaller one the finger bounces."""
+CONTACT_KIND = "push"
+"""What the names of the finger's contacts with the walls begin with."""
 
 OBJECT_POSITIONS = slice(0, 7)
 FINGER_POSITIONS = slice(7, 10)
@@ -112,33 +111,31 @@ class MujocoPlant:
             finger.add_joint(type=kinds.mjtJoint.mjJNT_SLIDE, axis=axis, armature=FINGER_ARMATURE)
         hinge = kinds.mjtJoint.mjJNT_HINGE
         finger.add_joint(type=hinge, axis=(0, 0, 1), armature=FINGER_ARMATURE)
-        for part in list_pusher_parts(shape):
+        for i, part in enumerate(list_pusher_parts(shape)):
             finger.add_geom(
+                name=f"finger_{i}",
                 type=kinds.mjtGeom.mjGEOM_CAPSULE if part.is_rod else kinds.mjtGeom.mjGEOM_BOX,
                 size=[*part.size, FINGER_HALF, 0][:3],
                 pos=[*part.place, 0],
                 quat=[np.cos(part.angle / 2), 0, 0, np.sin(part.angle / 2)],
                 mass=FINGER_MASS,
             )
+            for k in range(len(obj.edges.start)):
+                spec.add_pair(
+                    name=f"{CONTACT_KIND}_{i}_{k}",
+                    geomname1=f"finger_{i}",
+                    geomname2=f"wall_{k}",
+                    condim=3,
+                    friction=[params.contact_friction, params.contact_friction, 0, 0, 0],
+                )
         spec.add_exclude(bodyname1="world", bodyname2="finger")
         self._model = spec.compile()
-        self._soften_walls(params.total_mass * GRAVITY)
+        # The file cannot know what pushes, and its walls are stiff. They rub a finger that slides
+        # along them wrongly: a push of 10 cm would end up to 9 mm off.
+        weight = np.array([params.total_mass * GRAVITY])
+        inverse = float(self._model.body_invweight0[1:, 0].sum())
+        set_springs(self._model, CONTACT_KIND, weight, PUSHER_SINKAGE, inverse)
         self._data = kinds.MjData(self._model)
-
-    def _soften_walls(self, weight: float) -> None:
-        """Lets the walls give way to this finger, by the object's weight, N, as its feet do.
-
-        The file cannot know what pushes, and its walls are stiff. They rub a finger that slides
-        along them wrongly: a push of 10 cm ends up to 9 mm off.
-        """
-        model = self._model
-        inverse = float(model.body_invweight0[1:, 0].sum())
-        springs, _, impedance = calc_springs(
-            np.array([weight]), WALL_SINKAGE, inverse, WALL_DAMPING_RATIO
-        )
-        walls = [i for i in range(model.ngeom) if model.geom(i).name.startswith("wall_")]
-        model.geom_solref[walls] = springs[0]
-        model.geom_solimp[walls, :2] = impedance[0]
 
     def push(self, push: Push, pose: Array) -> Array:
         """Pushes the object from rest.
@@ -169,3 +166,25 @@ class MujocoPlant:
             self._mujoco.mj_step(self._model, data)
         place = data.qpos[OBJECT_POSITIONS]
         return np.array([place[0], place[1], calc_yaw(*place[3:])])
+
+
+def set_springs(model: Any, kind: str, load: Array, sinkage: float, inverse: float) -> None:
+    """Lets pairs of geoms give way under loads; see `calc_springs`.
+
+    Args:
+        model: the model.
+        kind: kind of the pairs; their names begin with it and an underscore.
+        load: (K,) load of each pair, in the order of their geoms, or (1,) of all, N.
+        sinkage: how far they give way, m.
+        inverse: see `calc_springs`.
+    """
+    # MuJoCo sorts the pairs; one geom of each comes in the order in which they were described.
+    names = [model.pair(i).name for i in range(model.npair)]
+    rows = sorted(
+        (i for i, name in enumerate(names) if name.startswith(f"{kind}_")),
+        key=lambda i: max(model.pair_geom1[i], model.pair_geom2[i]),
+    )
+    springs, slip, impedance = calc_springs(load, sinkage, inverse)
+    model.pair_solref[rows] = springs
+    model.pair_solreffriction[rows] = slip
+    model.pair_solimp[rows, :2] = impedance[:, None]
