@@ -59,7 +59,8 @@ class PushCommand(_Command):
             command.
         x: x of the tip's center where the push begins, m.
         y: y of the tip's center where the push begins, m.
-        direction: direction of the motion, from W's x axis, counterclockwise, rad.
+        direction: direction of the motion, from W's x axis, counterclockwise, rad. A pusher that is
+            no disc is turned to it.
         distance: length of the motion, m.
         speed: speed of the motion, m/s.
     """

@@ -209,6 +209,12 @@ def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
             ["--robot", "gantry"],
             ["gantry has no gripper", "expected one of iiwa14, panda, ur5e, xarm6"],
         ),
+        (
+            ["--task", "push", "--robot", "gantry", "--pusher", "gripper"],
+            ["gantry has no gripper", "`scenes: {gripper: FILE}`", "or pusher: finger"],
+        ),
+        (["--robot", "panda", "--pusher", "gripper"], ["pusher is gripper", "identify and push"]),
+        (["--pusher", "gripper"], ["--pusher gripper: expected --robot NAME beside it"]),
     ],
 )
 def test_refuses_a_robot_that_it_cannot_have(refuses, tmp_path, arguments, says):

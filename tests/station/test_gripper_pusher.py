@@ -22,9 +22,11 @@ from gridpush_drake.station.schema.scenario import PushScenario
 from gridpush_drake.station.schema.scenario_file import read_scenario
 from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
 from gridpush_drake.station.simulated.push_station import MakePushStation
+from gridpush_drake.station.tasks.identify_task import IdentifyTask
 from gridpush_drake.station.tasks.registry import TASK_KINDS
 from gridpush_drake.systems.base.messages import PushCommand
 from gridpush_drake.systems.execution.push_executor import find_tool_yaw
+from tests.helpers.twin_bench import TwinBench
 
 SIZES = {"panda": (0.022, 0.052), "iiwa14": (0.02, 0.035), "ur5e": (0.02, 0.035)}
 """How thick and how wide the closed fingers are in the robots' models, as low as 30 mm, m."""
@@ -167,3 +169,19 @@ def test_a_gripper_that_does_not_say_where_its_tip_is_is_refused(tmp_path):
 def test_a_task_that_needs_a_finger_is_refused(task, fields, says):
     with pytest.raises(ScenarioError, match=says):
         TASK_KINDS[task].check(resolve(make_scenario(**fields)))
+
+
+@pytest.mark.slow
+def test_a_twin_is_poked_and_learned_from_with_its_gripper():
+    """Over LCM, with the guard of a real arm between them."""
+    scenario = make_scenario("ur5e")
+    scenario.pokes.count = 1
+    scenario.pokes.test_count = 0
+    scenario.simulation.answer_delay = None
+    bench = TwinBench(scenario, IdentifyTask)
+    bench.begin()
+    record = bench.task.run(drive=bench.link)
+    assert (record.status, len(record.log)) == ("finished", 1), record.message
+    assert record.log[0].push.shape is bench.task.station.robot.shape
+    assert np.abs(record.log[0].push.yaw).min() > 0.1
+    assert record.limit_report.ok

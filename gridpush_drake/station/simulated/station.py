@@ -52,6 +52,7 @@ class Station(Diagram):
         - executor.status
         - executor.tip_pose
         - pusher.state
+        - pusher.yaw
         - object.pose
         - estimate.mass
         - estimate.friction
@@ -78,6 +79,7 @@ class Station(Diagram):
       in a grasp or steered.
     - ``pusher.state``: vector of 6, p_WP, m, and v_WP, m/s, of the tip's center, calculated from
       the arm's joints.
+    - ``pusher.yaw``: vector of 1, angle by which the tool is turned about the vertical, rad.
     - ``object.pose``: vector of 3, X_WB as the camera sees it, (x, y, theta), m and rad; NaN while
       the object is not seen.
     - ``estimate.mass`` and the other ports of the estimate: see `GridIdentifier`.
