@@ -1,5 +1,6 @@
 import json
 from itertools import product
+from typing import get_args
 
 import pytest
 from rich.console import Console
@@ -164,8 +165,10 @@ def make_drake_tables():
         for name in NAMES
     ]
     plants = [
-        plant.PlantScore(name, base, 0, spin, ERROR, ERROR, ERROR, ERROR, ERROR, ERROR)
-        for name, base, spin in product(NAMES, plant.BASE_KINDS, plant.SPIN_MODELS)
+        plant.PlantScore(name, kind, 0, spin, ERROR, ERROR, ERROR, ERROR, ERROR, ERROR, pusher)
+        for name, kind, spin, pusher in product(
+            NAMES, get_args(plant.PlantKind), plant.SPIN_MODELS, plant.PUSHER_NAMES
+        )
     ]
     return [drake.make_table(stations), plant.make_table(plants)]
 

@@ -227,6 +227,13 @@ def test_how_presses_are_set_is_a_scenario():
     assert scenario.safety.force == 30.0
 
 
+def test_a_gripper_that_pushes_is_a_scenario():
+    (block,) = find_blocks("docs/howto/pushers.md", "yaml")
+    scenario = parse_scenario(Path("cell.yaml"), block)
+    (meant,) = make_robot_directives("panda", grasping=False, pusher=scenario.pusher)
+    assert scenario.directives[0].add_directives.file == meant.add_directives.file
+
+
 def test_a_robot_s_scenes_are_those_that_the_page_names():
     (block,) = find_blocks("docs/reference/files.md", "yaml")
     named = parse_scenario(Path("cell.yaml"), block).directives[0].add_directives.file
@@ -260,6 +267,7 @@ def test_every_block_is_tried_somewhere():
             ("docs/howto/autodiff.md", "{code-block} python"): 1,  # tests/interop/test_examples.py
             ("docs/howto/own_object.md", "yaml"): 1,
             ("docs/howto/own_pushes.md", "csv"): 2,
+            ("docs/howto/pushers.md", "yaml"): 1,
             ("docs/howto/weigh_at_the_edge.md", "yaml"): 1,
             ("docs/reference/files.md", "yaml"): 1,
         }

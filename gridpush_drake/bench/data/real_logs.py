@@ -53,7 +53,7 @@ IMPORTED_LOG = "imported"
 """Kind of a push log in this package's own form, with its object's file beside."""
 
 OBJECT_BESIDE = "object.yaml"
-"""Name of that file: `gridpush import --out-dir` writes both into a folder."""
+"""Name of that file: `gridpush import` writes both into a folder (`--out-dir`)."""
 
 OUTLINE_ENDING = "_outline.csv"
 """Ending of the name of the file beside such a log that has the outline of what is pushed: columns
@@ -133,7 +133,7 @@ def find_push_logs(
     if DUBINS_LOG in kinds:
         expected += f", or runs of two fingers (NAME.csv, with NAME{OUTLINE_ENDING} beside)"
     if IMPORTED_LOG in kinds:
-        expected += f", or folders that `gridpush import --out-dir` wrote ({OBJECT_BESIDE} beside)"
+        expected += f", or folders that `gridpush import` wrote ({OBJECT_BESIDE} beside)"
     check_folder(data, expected)
     texts = [(_count_pushes(path), path) for path in sorted(data.rglob("*.txt"))]
     logs = [

@@ -117,7 +117,7 @@ class RealityBenchOptions(StudyOptions):
         "Real pushes: a clone of GitHub robinzhoucmu/MLab_EXP or "
         "robinzhoucmu/PlanarManipulationToolBox, or a folder that holds such logs, or two-point "
         "pushes or runs of two fingers in the forms that `gridpush import` reads, or folders that "
-        "`gridpush import --out-dir` wrote. Without, simulated pushes stand in.",
+        "`gridpush import` wrote (`--out-dir`). Without, simulated pushes stand in.",
         name="--data",
         metavar="DIR",
     )
