@@ -60,6 +60,15 @@ def test_the_shape_is_that_of_the_robots_own_model(robot):
     assert resolved.robot.gripper is None and resolved.obj.prior.push_height is None
 
 
+def test_a_camera_sees_the_whole_object_though_the_gripper_is_wide():
+    """The claw hammer lies where it does in the demo, in the middle of the table."""
+    station = MakePushStation(
+        make_scenario(camera={"kind": "rgbd"}), learning=Learning(max_pushes=0)
+    )
+    seen, true = station.found.obj.outline, station.found.true_obj.outline
+    assert seen.area == pytest.approx(true.area, rel=0.03)
+
+
 def test_a_lower_object_is_touched_by_the_fingers_ends_alone():
     """The Panda's fingers are wider from 27 mm above the table on."""
     low = resolve(make_scenario(object_height=0.02)).robot.shape.area.bounds

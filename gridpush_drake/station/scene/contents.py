@@ -167,14 +167,21 @@ def CalcBasePose(plant: MultibodyPlant, robot: Robot) -> RigidTransform:
     return base.CalcPoseInWorld(plant.CreateDefaultContext())
 
 
+GRIPPER_ASIDE = 0.3
+"""How far to the left of a finger's home a gripper that pushes begins, m."""
+
+
 def CalcHome(plant: MultibodyPlant, robot: Robot) -> tuple[float, float, float]:
     """Calculates where the tip is at the beginning, p_WP, m, in a finalised plant with its scene.
 
     The robot.yaml gives x and y from the robot's base, but z from the table's top, which is z = 0.
+    A gripper that pushes is wide: it begins at the side, where it hides nothing in the middle of the
+    table from a camera above it.
     """
     x, y, z = robot.arm.home
     p_WR = CalcBasePose(plant, robot).translation()
-    return float(p_WR[0] + x), float(p_WR[1] + y), z
+    aside = 0.0 if robot.closed_gripper is None else GRIPPER_ASIDE
+    return float(p_WR[0] + x), float(p_WR[1] + y + aside), z
 
 
 def MakeTruth(obj: GridObject, config: TruthConfig, seed: int) -> CellParameters:
