@@ -18,7 +18,7 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
@@ -326,9 +326,16 @@ def _measure_row(
     stamp = {"commit": find_commit(), "date": f"{datetime.now(UTC):%Y-%m-%d}", "code": code}
     settings = dict(row.settings) | {"quick": options.quick}
     options.folder.mkdir(exist_ok=True)
-    results = open_results(
-        options.folder / f"{name}.jsonl", study.name, settings, options.force, stamp=stamp
+    open_row = partial(
+        open_results, options.folder / f"{name}.jsonl", study.name, settings, stamp=stamp
     )
+    # What was measured is begun anew only where it cannot be gone on with.
+    try:
+        results = open_row(force=False)
+    except GridPushError:
+        if not options.force:
+            raise
+        results = open_row(force=True)
     if options.renew:
         for job in jobs:
             if results.find_stamp(job).get("code", code) != code:

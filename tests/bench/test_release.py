@@ -72,9 +72,18 @@ def test_a_row_goes_on_where_it_was_and_its_table_is_written_into_pages(tmp_path
     assert f"{total} of {total} jobs" in text and done[1].title in text
     assert "has changed" not in text
 
-    again = measure(tmp_path / "kept")
-    assert file.read_text().splitlines() == lines
+    written = file.stat().st_mtime_ns
+    again = measure(tmp_path / "kept", force=True)
+    assert file.stat().st_mtime_ns == written
     assert [table.rows for table in again] == [table.rows for table in done]
+
+
+def test_a_row_of_other_settings_is_begun_anew_only_if_forced(tmp_path, quick, monkeypatch):
+    measure(tmp_path)
+    monkeypatch.setitem(ROWS, "quick", ReleaseRow(QUICK.target, {"seed": 1}))
+    with pytest.raises(GridPushError, match="made with other settings"):
+        measure(tmp_path)
+    assert measure(tmp_path, force=True)[0].rows[0][1] == 6
 
 
 def test_the_command_runs_jobs_on_as_many_workers_as_asked(tmp_path, quick, monkeypatch, capsys):
