@@ -175,8 +175,8 @@ def CalcHome(plant: MultibodyPlant, robot: Robot) -> tuple[float, float, float]:
     """Calculates where the tip is at the beginning, p_WP, m, in a finalised plant with its scene.
 
     The robot.yaml gives x and y from the robot's base, but z from the table's top, which is z = 0.
-    A gripper that pushes is wide: it begins at the side, where it hides nothing in the middle of the
-    table from a camera above it.
+    A gripper that pushes is wide: it begins at the side, where it hides nothing in the middle of
+    the table from a camera above it.
     """
     x, y, z = robot.arm.home
     p_WR = CalcBasePose(plant, robot).translation()
