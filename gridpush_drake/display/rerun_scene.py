@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 
 from gridpush_drake.display.shapes import ELLIPSE_SIGMAS, make_ellipse
 from gridpush_drake.dynamics.pusher import PusherShape
@@ -106,10 +107,9 @@ class RerunScene:
             yaw: angle of the shape's frame, rad.
         """
         if shape is not None:
-            covered = shape.at([*p_WP[:2], yaw])
             edges = [
                 lift(np.array(part.exterior.coords), float(p_WP[2]))
-                for part in getattr(covered, "geoms", [covered])
+                for part in shapely.get_parts(shape.at([*p_WP[:2], yaw]))
             ]
             self._log("world/tip", self._rr.LineStrips3D(edges, colors=[TIP_COLOR]))
             return

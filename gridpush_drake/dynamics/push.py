@@ -260,7 +260,7 @@ class Push(Frozen):
         point, tangent, normal = obj.edges.at(arc_length)
         if shape is not None:
             heading = float(np.arctan2(-normal[1], -normal[0]) + angle)
-            begin = _find_clear_start(obj, shape, point, heading, clearance)
+            begin = find_clear_start(obj, shape, point, heading, clearance)
             start = transform(q, begin[None])[0]
             yaw = float(q[2] + heading)
             velocity = distance / duration * np.array([cos(yaw), sin(yaw)])
@@ -336,8 +336,13 @@ class Push(Frozen):
         return np.interp(np.asarray(times, dtype=np.float64), self.t, gone)
 
 
-def _find_clear_start(
-    obj: GridObject, shape: PusherShape, point: Array, heading: float, clearance: float
+def find_clear_start(
+    obj: GridObject,
+    shape: PusherShape,
+    point: Array,
+    heading: float,
+    clearance: float,
+    tolerance: float = START_TOLERANCE,
 ) -> Array:
     """Finds where a shape begins that comes straight towards a place on an outline, from afar.
 
@@ -349,6 +354,7 @@ def _find_clear_start(
         point: (2,) the place, body frame, m.
         heading: direction of the motion in the body frame, rad.
         clearance: gap at the beginning, m.
+        tolerance: how much wider the gap may be, m.
 
     Returns:
         (2,) the origin of the shape's frame, body frame, m.
@@ -356,13 +362,15 @@ def _find_clear_start(
     ahead = np.array([cos(heading), sin(heading)])
     core = rotate(heading, shape.core)
     reach = shape.reach + clearance
+    # From farther away than the object is large, so that nothing lies behind the shape.
     x0, y0, x1, y1 = obj.outline.bounds
     at = point - (np.hypot(x1 - x0, y1 - y0) + 2 * reach) * ahead
+    # The outline cannot be nearer ahead than it is in any direction.
     while True:
         points = shapely.multipoints(core + at)
         gap = obj.outline.distance(points.convex_hull if shape.joined else points)
         gap -= shape.radius + clearance
-        if gap <= START_TOLERANCE:
+        if gap <= tolerance:
             return at
         at = at + gap * ahead
 

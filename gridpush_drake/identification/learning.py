@@ -30,6 +30,7 @@ from gridpush_drake.identification.tilt_tests.weighed_model import (
 )
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.arguments import PushLogOrFile
+from gridpush_drake.pushes.plausibility import name_source
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import MassTestLog
 
@@ -162,8 +163,7 @@ def report(task: LearningTask, found: Found, judgment: FitJudgment) -> Identific
     """
     source = found.screened.log.source
     for sentence in list_warnings(found, judgment):
-        warning = f"{source}: {sentence}" if source else sentence
-        warnings.warn(warning, PushLogWarning, stacklevel=3)
+        warnings.warn(name_source(source, sentence), PushLogWarning, stacklevel=3)
     message = describe_learning(found, judgment)
     model = replace(found.alone, status=judgment.status, message=message)
     if found.estimate is None:

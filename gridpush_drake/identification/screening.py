@@ -29,6 +29,7 @@ from gridpush_drake.pushes.plausibility import (
     check_plausible,
     check_plausible_mass_tests,
     explain_unused_forces,
+    name_source,
 )
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import MassTestLog
@@ -195,6 +196,5 @@ def _check_joint_log(model: Model, log: PushLog) -> ScreenedLog:
         check_plausible(obj, log.single_out(i), learning=False, alone=False)
     unused = explain_unused_forces(model.objects, log, inertial=False)
     if unused is not None:
-        warning = f"{log.source}: {unused}" if log.source else unused
-        warnings.warn(warning, PushLogWarning, stacklevel=4)
+        warnings.warn(name_source(log.source, unused), PushLogWarning, stacklevel=4)
     return ScreenedLog(log)

@@ -212,10 +212,15 @@ def _collect(
 
 def _report(finding: Finding, source: str, *, refuse: bool) -> None:
     """Raises an error of a finding that is certain, if it is to be refused; warns otherwise."""
-    message = f"{source}: {finding.message}" if source else finding.message
+    message = name_source(source, finding.message)
     if finding.certain and refuse:
         raise PushLogError(message)
     warnings.warn(message, PushLogWarning, stacklevel=4)
+
+
+def name_source(source: str, message: str) -> str:
+    """Puts before a message where the log came from that it is about, if that is known."""
+    return f"{source}: {message}" if source else message
 
 
 def check_size(obj: GridObject, kind: type[GridPushError]) -> None:

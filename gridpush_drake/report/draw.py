@@ -10,6 +10,7 @@ from math import floor, log10
 from typing import Any
 
 import numpy as np
+import shapely
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -381,8 +382,7 @@ def draw_pusher(ax: Axes, push: Push, time: float, **style: Any) -> None:
         x, y = push.tip_at([time])[0].tolist()
         ax.add_patch(Circle((x, y), push.radius, **style))
         return
-    covered = push.find_area(time)
-    for part in getattr(covered, "geoms", [covered]):
+    for part in shapely.get_parts(push.find_area(time)):
         ax.add_patch(Polygon(np.array(part.exterior.coords), **style))
 
 

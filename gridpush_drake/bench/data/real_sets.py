@@ -217,8 +217,8 @@ def read_set(path: Path, kind: str) -> RealSet:
     if kind == IMPORTED_LOG:
         obj = GridObject.from_yaml(path.with_name(OBJECT_BESIDE))
         log = PushLog.read_csv(path, obj.prior.pusher_radius)
-        return RealSet(kind, log, obj, tuple(range(len(log))))
-    log, obj = find_importer(kind)().read(path)
+    else:
+        log, obj = find_importer(kind)().read(path)
     if kind == CMU_LOG:
         obj = replace(obj, prior=replace(obj.prior, center_of_mass=(0.0, 0.0)))
     return RealSet(kind, log, obj, tuple(range(len(log))))

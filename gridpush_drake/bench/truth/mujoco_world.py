@@ -472,11 +472,11 @@ def _describe_pusher(shape: PusherShape) -> list[str]:
     geoms = []
     for i, part in enumerate(list_pusher_parts(shape)):
         x, y = part.place
-        turn = np.array([np.cos(part.angle / 2), 0, 0, np.sin(part.angle / 2)])
+        turn = " ".join(map(str, part.quaternion))
         size = " ".join(map(str, (*part.size, PUSHER_HALF_LENGTH)))
         geoms.append(
             f'<geom name="pusher{i}" type="{"capsule" if part.is_rod else "box"}" '
-            f'pos="{x} {y} 0" quat="{" ".join(map(str, turn))}" size="{size}"/>'
+            f'pos="{x} {y} 0" quat="{turn}" size="{size}"/>'
         )
     return geoms
 

@@ -69,6 +69,11 @@ class PusherPart(NamedTuple):
         """Whether it is a rod, a capsule in MuJoCo; a plate is a box."""
         return len(self.size) == 1
 
+    @property
+    def quaternion(self) -> list[float]:
+        """(w, x, y, z) of its turn by the angle."""
+        return [np.cos(self.angle / 2), 0, 0, np.sin(self.angle / 2)]
+
 
 def list_pusher_parts(shape: PusherShape) -> list[PusherPart]:
     """Lists the rods at a shape's corners, or of its discs, and the plates at its straight sides.
@@ -117,7 +122,7 @@ class MujocoPlant:
                 type=kinds.mjtGeom.mjGEOM_CAPSULE if part.is_rod else kinds.mjtGeom.mjGEOM_BOX,
                 size=[*part.size, FINGER_HALF, 0][:3],
                 pos=[*part.place, 0],
-                quat=[np.cos(part.angle / 2), 0, 0, np.sin(part.angle / 2)],
+                quat=part.quaternion,
                 mass=FINGER_MASS,
             )
             for k in range(len(obj.edges.start)):

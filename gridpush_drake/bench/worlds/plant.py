@@ -32,17 +32,17 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
-from shapely import MultiPoint, Point
+from shapely import Point
 
 from gridpush_drake.bench.study import JobKind
 from gridpush_drake.bench.worlds.mujoco_plant import MujocoPlant
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import Physics, Regime
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, find_clear_start
 from gridpush_drake.dynamics.pusher import PusherShape, choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
-from gridpush_drake.geometry.se2 import Array, compose, make_direction, rotate, turn_left
+from gridpush_drake.geometry.se2 import Array, compose, make_direction, turn_left
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
@@ -126,9 +126,6 @@ MAX_CURVATURE = 5.0
 
 PLACING_GAP = 1e-6
 """Distance from the outline at which a pusher with a shape is put, m."""
-
-PLACING_STEPS = 1000
-"""Most steps in which it approaches the outline; each is as long as the distance left."""
 
 SPIN_MODELS: tuple[Literal["none", "coupled"], ...] = ("none", "coupled")
 """Models of how a cell resists spinning."""
@@ -336,24 +333,19 @@ def draw_push(model: Model, seed: int, radius: float) -> tuple[Push, Array]:
     """
     obj = model.obj
     rng = np.random.default_rng((seed, 3))
-    for _ in range(MAX_PUSH_TRIES):
-        pose = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi)])
+
+    def draw(pose: Array) -> Push | None:
         place = rng.uniform(0, obj.edges.perimeter)
         angle = rng.uniform(-MAX_PUSH_ANGLE, MAX_PUSH_ANGLE)
         point, _, normal = obj.edges.at(place)
         # In a notch the pusher may not reach the place without touching another one.
         if obj.outline.distance(Point(point + normal * radius)) < (1 - 1e-6) * radius:
-            continue
-        push = Push.on_outline(
+            return None
+        return Push.on_outline(
             obj, place, angle, PUSH_LENGTH, radius=radius, speed=PUSHER_SPEED, pose=pose
         )
-        last = simulate(model, push, pose, regime="inertial").final_pose
-        if calc_pose_error(obj, last, pose).cell >= MIN_MOTION:
-            return push, pose
-    raise PushError(
-        f"{obj.name}: none of {MAX_PUSH_TRIES} random pushes moves it by "
-        f"{MIN_MOTION * MM_PER_M:g} mm"
-    )
+
+    return _draw_moving(model, rng, "inertial", draw)
 
 
 def draw_shape_push(model: Model, seed: int, shape: PusherShape) -> tuple[Push, Array]:
@@ -372,13 +364,14 @@ def draw_shape_push(model: Model, seed: int, shape: PusherShape) -> tuple[Push, 
     """
     obj = model.obj
     rng = np.random.default_rng((seed, 4))
-    for _ in range(MAX_PUSH_TRIES):
-        pose = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi)])
+
+    def draw(pose: Array) -> Push:
         point, _, normal = obj.edges.at(rng.uniform(0, obj.edges.perimeter))
         angle = np.arctan2(*-normal[::-1]) + rng.uniform(-MAX_PUSH_ANGLE, MAX_PUSH_ANGLE)
         curvature = rng.uniform(-MAX_CURVATURE, MAX_CURVATURE)
-        X_WT = compose(pose, np.array([*_approach(obj, shape, point, angle), angle]))
-        push = Push.about(
+        p_BT = find_clear_start(obj, shape, point, angle, 0.0, PLACING_GAP)
+        X_WT = compose(pose, np.array([*p_BT, angle]))
+        return Push.about(
             X_WT[:2] + turn_left(make_direction(X_WT[2])) / curvature,
             curvature * PUSH_LENGTH,
             shape=shape,
@@ -386,33 +379,40 @@ def draw_shape_push(model: Model, seed: int, shape: PusherShape) -> tuple[Push, 
             yaw=X_WT[2],
             duration=PUSH_LENGTH / PUSHER_SPEED,
         )
-        last = simulate(model, push, pose, regime="quasi_static").final_pose
+
+    return _draw_moving(model, rng, "quasi_static", draw)
+
+
+def _draw_moving(
+    model: Model, rng: np.random.Generator, regime: Regime, draw: Callable[[Array], Push | None]
+) -> tuple[Push, Array]:
+    """Draws poses (3,) and pushes until a push moves the object.
+
+    Args:
+        model: one object, with its parameters.
+        rng: draws the poses.
+        regime: in which the pushes are simulated.
+        draw: draws a push of the object at a pose; None where that push cannot be made.
+
+    Returns:
+        The push, and the object's pose (3,), m and rad.
+
+    Raises:
+        PushError: hardly any push moves the object.
+    """
+    obj = model.obj
+    for _ in range(MAX_PUSH_TRIES):
+        pose = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi)])
+        push = draw(pose)
+        if push is None:
+            continue
+        last = simulate(model, push, pose, regime=regime).final_pose
         if calc_pose_error(obj, last, pose).cell >= MIN_MOTION:
             return push, pose
     raise PushError(
         f"{obj.name}: none of {MAX_PUSH_TRIES} random pushes moves it by "
         f"{MIN_MOTION * MM_PER_M:g} mm"
     )
-
-
-def _approach(obj: GridObject, shape: PusherShape, point: Array, angle: float) -> Array:
-    """Finds where a shape that comes from outside, towards a point (2,), first touches the outline.
-
-    Returns:
-        (2,) p_BT, in the body frame, m.
-    """
-    ahead = make_direction(angle)
-    core = rotate(angle, shape.core)
-    far = shape.reach + float(np.linalg.norm(obj.edges.start - point, axis=1).max())
-    place = point - far * ahead
-    for _ in range(PLACING_STEPS):
-        corners = MultiPoint(place + core)
-        area = corners.convex_hull if shape.joined else corners
-        gap = float(obj.outline.distance(area)) - shape.radius
-        if gap <= PLACING_GAP:
-            break
-        place = place + gap * ahead
-    return place
 
 
 def make_table(scores: Sequence[PlantScore]) -> Table:

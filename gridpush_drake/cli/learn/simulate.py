@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from gridpush_drake import report
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import print_found
 from gridpush_drake.dynamics.push import Push
@@ -111,11 +112,8 @@ def simulate(
             )
             PushLog((seen,)).write_csv(out, force)
         if picture is not None:
-            # only where it is drawn: Matplotlib takes long to import
-            from gridpush_drake.report.draw import to_png
-            from gridpush_drake.report.figures import draw_motion
-
-            write_whole(picture, to_png(draw_motion(loaded.obj, push, motion.poses)), force)
+            drawn = report.draw_motion(loaded.obj, push, motion.poses)
+            write_whole(picture, report.to_png(drawn), force)
     first = motion.poses[0]
     last = motion.final_pose
     found = {

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from gridpush_drake import report
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import print_found
 from gridpush_drake.dynamics.pusher import Pusher
@@ -132,11 +133,8 @@ def plan(
         if out is not None:
             write_plan(out, found, target.obj.name, radius, force)
         if picture is not None:
-            # only where it is drawn: Matplotlib takes long to import
-            from gridpush_drake.report.draw import to_png
-            from gridpush_drake.report.plan_figures import draw_plan
-
-            write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
+            drawn = report.draw_plan(target.obj, found, surface, obstacles)
+            write_whole(picture, report.to_png(drawn), force)
     written = [str(path) for path in (out, picture) if path is not None]
     document = {**describe_plan(found, target.obj.name, radius), "written": written}
     lines = [

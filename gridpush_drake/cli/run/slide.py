@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from gridpush_drake import report
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import print_found, to_json
 from gridpush_drake.dynamics.pusher import Pusher
@@ -169,11 +170,8 @@ def slide(
         if out is not None:
             write_whole(out, _to_text(found, out), force)
         if picture is not None:
-            # only where it is drawn: Matplotlib takes long to import
-            from gridpush_drake.report.draw import to_png
-            from gridpush_drake.report.plan_figures import draw_slide
-
-            write_whole(picture, to_png(draw_slide(planner, uncertain.masses, plan)), force)
+            drawn = report.draw_slide(planner, uncertain.masses, plan)
+            write_whole(picture, report.to_png(drawn), force)
     print_found(found, [*_explain(found), *options.describe_written(out, picture)], json)
     if plan.status != PreGraspPlanStatus.READY:
         raise typer.Exit(options.EXIT_NO_PLAN)

@@ -205,7 +205,7 @@ class LimitMonitor:
         for i in range(contacts.num_point_pair_contacts()):
             contact = contacts.point_pair_contact_info(i)
             pair = {contact.bodyA_index(), contact.bodyB_index()}
-            if self._tip & set(pair):
+            if self._tip & pair:
                 sign = 1.0 if contact.bodyB_index() in self._tip else -1.0
                 on_tip += sign * contact.contact_force()
             if self._object in pair and pair & may_touch_object:
