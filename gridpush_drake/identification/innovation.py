@@ -15,6 +15,10 @@ by centimeters. So a push that ended outside of the region is simulated again by
 is uncertain of model, pusher and pose. If some of them end outside of the region, too, and where
 the push did, as nearly as poses are seen, it is no surprise.
 
+An object that jumped during a push, as no pusher can move it, was moved by something else, or the
+tracker was wrong. That says nothing of what the object is: the push is judged by the rest of its
+poses, as it is learned from.
+
 Of several objects each is judged by itself, by its part of what was learned of all together,
 wherever it moved or was to move.
 
@@ -44,6 +48,7 @@ from gridpush_drake.identification.spread import (
 )
 from gridpush_drake.identification.statistics.friction_gradient import draw_gradients
 from gridpush_drake.identification.statistics.noise import NoiseModel
+from gridpush_drake.identification.statistics.outliers import leave_out_jumps
 from gridpush_drake.identification.statistics.problem import PushProblem, TimedPush
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -159,6 +164,8 @@ def check_innovation(
     unknown_edge = seen.overhang and table is None
     if unknown_edge or not len(seen.t_observed):
         return None
+    if isinstance(model, Identification):
+        seen = leave_out_jumps(model.obj, seen)
     # Only the last pose counts: it is what plans are made of.
     end = replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
     if isinstance(model, JointIdentification):

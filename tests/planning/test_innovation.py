@@ -147,6 +147,22 @@ def test_a_push_is_judged_by_its_predicted_region() -> None:
     assert not check_innovation(found, replace(seen, poses_observed=first_off)).innovations
 
 
+def test_an_object_that_somebody_moved_in_a_push_is_the_same_object() -> None:
+    obj = make_shape("l_bracket", 20)
+    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 8.0, 1.0), np.full(obj.n, 0.4), 0.35)
+    log = make_pokes(obj, truth, 7, 5, noise=(5e-4, 3.5e-3))
+    found = identify(Model(obj), log[:6])
+    record = InnovationRecord()
+    seen = log[6]
+    for first in range(len(seen.t_observed)):
+        moved = seen.poses_observed.copy()
+        # out of the finger's way, and from there on nothing moves it
+        moved[first:] = seen.poses_observed[first] + np.array([0.3, 0.2, 1.0])
+        shoved = replace(seen, poses_observed=moved)
+        assert not check_innovation(found, shoved).innovations, first
+        assert record.note(found, replace(log, pushes=(*log[:6], shoved))) is record
+
+
 SHIFTS = ((1e-3, 0.0, 0.0), (-1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, -1e-3, 0.0))
 """A millimeter to each side."""
 

@@ -284,6 +284,21 @@ def find_jumps(obj: GridObject, log: PushLog) -> list[Mask]:
     return masks
 
 
+def leave_out_jumps(obj: GridObject, seen: ObservedPush) -> ObservedPush:
+    """Leaves out the poses of a single push that it cannot have led to from the ones before.
+
+    Args:
+        obj: the object.
+        seen: the push.
+
+    Returns:
+        The push with the longest chain of poses that it can have led to; itself where that is a
+        single pose. Where the object was moved by something else before most of its poses, that is
+        the push as it went on behind that.
+    """
+    return _trim(seen, _find_chain(obj, seen)) or seen
+
+
 def _find_chain(obj: GridObject, seen: ObservedPush) -> Mask:
     """Finds the longest chain of a push's poses, each within reach of the one before.
 
