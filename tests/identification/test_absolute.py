@@ -209,6 +209,29 @@ def _weigh_many(rng: np.random.Generator) -> MassProblem:
     return make_problem(TRUTH, rng, (0.3, 1.9, 4.2), presses=2, lift=False, force_std=0.05)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_pushes_that_are_wrong_about_the_center_do_not_spoil_what_weighings_say(seed):
+    """On feet of very different friction, the center of friction is far from that of mass."""
+    problem = _weigh_many(np.random.default_rng(seed))
+    wrong = replace(
+        problem, center=TRUTH.center + [0.06, -0.03], center_covariance=1e-4 * np.eye(2)
+    )
+    spread = 0.05**2 * np.eye(2)
+    assert estimate_absolute(wrong).contradictory
+    found = estimate_absolute(replace(wrong, center_unpushed=(np.zeros(2), spread)))
+    assert found.center_doubt > 0.99
+    assert not found.contradictory
+    assert sum(one.line == TiltingLine.EDGE for one in found.tests) == 6
+    off = found.mean - TRUTH.unknowns
+    assert off @ np.linalg.solve(found.covariance, off) < 13.3  # 99 % of a chi square of 4
+    # Pushes that are right are believed, and so are all where few weighings speak against them.
+    right = replace(problem, center_unpushed=(np.zeros(2), spread))
+    np.testing.assert_array_equal(estimate_absolute(right).mean, estimate_absolute(problem).mean)
+    few = replace(wrong, log=MassTestLog(wrong.log.presses[:4]))
+    doubtful = replace(few, center_unpushed=(np.zeros(2), spread))
+    assert estimate_absolute(doubtful).center_doubt == 0.0
+
+
 def _spoil(problem: MassProblem, index: int, **changes: Any) -> MassProblem:
     """The same with one press changed."""
     presses = list(problem.log.presses)

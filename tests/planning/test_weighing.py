@@ -10,6 +10,7 @@ import shapely
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.geometry.se2 import transform, turn_left
+from gridpush_drake.identification.absolute.estimate import LINE_DISTANCE
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.tilt_tests.weighed_model import believe_before, estimate_masses
 from gridpush_drake.objects.grid_object import GridObject
@@ -31,6 +32,7 @@ from gridpush_drake.planning.robot_status import PressStatus, PressStep, PushSta
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_placements, plan_press
 from gridpush_drake.planning.weighing.press import (
+    Plateau,
     PressOptions,
     PressOutcome,
     PressPhase,
@@ -324,6 +326,7 @@ def test_the_tip_follows_the_top_of_a_tilting_object_and_creeps_no_farther(tilt)
             command=sunk + (*drawn, 0.0),
             touched=0.0,
             start_height=TARGET.hover[2] + 1e-6,
+            stiff_height=TARGET.hover[2] + 1e-6,
             hold=np.array([*TARGET.hover[:2], sunk[2]]),
         )
         offs = []
@@ -339,6 +342,31 @@ def test_the_tip_follows_the_top_of_a_tilting_object_and_creeps_no_farther(tilt)
         # Along the edge no tilt draws it.
         end = room if direction @ TARGET.normal > 0.5 else 0.0
         assert offs[-1] == pytest.approx(end, abs=5e-5)
+
+
+def test_an_object_that_rocked_first_is_pressed_on_as_far_as_another_one():
+    """It rocked about supports inside the edge, so that the same descent tilted it by less."""
+    arm = TARGET.calc_lever_arm(TARGET.hover)
+    rocked, sunk = 0.0015, 0.001
+    tip = TARGET.hover - (0.0, 0.0, rocked + sunk)
+    ends = []
+    for stiff in (0.0, rocked):
+        state = replace(
+            PressState(),
+            phase=PressPhase.FOLLOWING,
+            command=tip,
+            touched=0.0,
+            start_height=TARGET.hover[2],
+            stiff_height=TARGET.hover[2] - stiff,
+            hold=tip,
+            plateaus=(Plateau(5.0, TARGET.hover[:2], 50, tip[2], 0.0),),
+        )
+        sample = PressSample(0.01, tip, np.array([0.0, 0.0, 5.0]))
+        after = advance_press(TARGET, PressOptions(max_tilt=0.9 * (rocked + sunk) / arm), state, sample)
+        ends.append(after.phase)
+        inside = stiff / (arm + LINE_DISTANCE)
+        assert after.tilt == pytest.approx((rocked + sunk - stiff) / arm + inside)
+    assert ends == [PressPhase.RETREATING, PressPhase.FOLLOWING]
 
 
 def test_a_force_along_the_normal_counts_by_its_moment():

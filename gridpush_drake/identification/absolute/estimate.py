@@ -198,6 +198,8 @@ class AbsoluteEstimate:
         agreement: probability of observations that agree as badly as these do, or worse; of those
             that were not left out.
         tests: how each press was judged, in their order.
+        center_doubt: probability that the pushes are wrong about the center of mass, as if feet of
+            very different friction bear the object.
         gyration: radius of gyration about the vertical axis through c, m; 0 where it is not known.
         gyration_std: its standard deviation, m.
     """
@@ -211,6 +213,7 @@ class AbsoluteEstimate:
     gyration: float = 0.0
     gyration_std: float = 0.0
     tests: "tuple[TiltTestCheck, ...]" = ()
+    center_doubt: float = 0.0
 
     @property
     def total_mass(self) -> float:
@@ -287,6 +290,7 @@ class AbsoluteEstimate:
             "pushes": self.pushes,
             "agreement": self.agreement,
             "contradictory": self.contradictory,
+            "center_doubt": self.center_doubt,
             "tests": [asdict(one) for one in self.tests],
         }
 
@@ -310,6 +314,8 @@ class MassProblem:
         noise: of poses and edges.
         gravity: m/s².
         lines: about which line the object tilted in each press; about the edge in all where empty.
+        center_unpushed: (2,) where the center of mass is expected if the pushes are wrong about it,
+            m, and (2, 2) its covariance, m²; None where they cannot be.
     """
 
     log: MassTestLog
@@ -320,6 +326,14 @@ class MassProblem:
     noise: PoseNoise = field(default_factory=PoseNoise)
     gravity: float = GRAVITY
     lines: tuple[TiltingLine, ...] = ()
+    center_unpushed: tuple[Array, Array] | None = None
+
+    def doubt_center(self) -> "MassProblem | None":
+        """The problem if the pushes are wrong about the center of mass; None if they cannot be."""
+        if self.center_unpushed is None:
+            return None
+        center, covariance = self.center_unpushed
+        return replace(self, center=center, center_covariance=covariance, center_unpushed=None)
 
     def suppose(self, lines: tuple[TiltingLine, ...]) -> "MassProblem":
         """The problem with other tilting lines."""

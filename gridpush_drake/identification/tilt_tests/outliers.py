@@ -16,6 +16,11 @@ the underside, which is evenly distributed in its logarithm.
 
 The lines are searched by changing one at a time as long as the evidence grows. The estimate is the
 mean of all that were tried, by their evidence, and so is as unsure as they disagree.
+
+The pushes are judged, too. They show the center of friction, and where a few feet of very different
+friction bear an object, that may be far from the center of mass. So if many weighings agree badly
+with the pushes, it is also supposed that these tell nothing of the center, which is little probable
+beforehand, and the evidence decides.
 """
 
 from math import log, pi, sqrt
@@ -69,6 +74,12 @@ MIN_AGREEMENT_PROBABILITY = 0.2
 """Probability of observations that agree as badly as they do with tilts about the edge in all
 presses, below which it is supposed that most presses may be wrong."""
 
+CENTER_WRONG_PRIOR = 0.05
+"""Probability beforehand that the pushes tell nothing of the center of mass."""
+
+MIN_WEIGHINGS = 5
+"""Number of weighings from which on the pushes are doubted: three tell mass and center of mass."""
+
 MAX_SWEEPS = 6
 """Greatest number of times that the line of each press is tried to be changed."""
 
@@ -89,11 +100,21 @@ def estimate_absolute(problem: MassProblem) -> AbsoluteEstimate:
     """
     if not len(problem.log) and problem.force is None:
         raise IdentificationError("weighings: there are none; expected at least one, or a force")
-    tried = search_lines(problem)
-    fits = list(tried.values())
-    evidence = np.array([calc_log_evidence(one) for one in fits])
+    # The fits of all lines that were tried, with the log probability of what they suppose.
+    searched = [(search_lines(problem), 0.0)]
+    doubted = problem.doubt_center()
+    if doubted is not None and _disagree(searched[0][0]):
+        searched = [
+            (searched[0][0], log(1 - CENTER_WRONG_PRIOR)),
+            (search_lines(doubted), log(CENTER_WRONG_PRIOR)),
+        ]
+    fits = [one for tried, _ in searched for one in tried.values()]
+    evidence = np.array(
+        [calc_log_evidence(one) + prior for tried, prior in searched for one in tried.values()]
+    )
     weight = np.exp(evidence - evidence.max())
     best = fits[int(np.argmax(evidence))]
+    tried = searched[0 if best in searched[0][0].values() else 1][0]
     counted = [(one, w) for one, w in zip(fits, weight, strict=True) if w >= MIN_WEIGHT]
     total = sum(w for _, w in counted)
     fractions = [w / total for _, w in counted]
@@ -122,7 +143,21 @@ def estimate_absolute(problem: MassProblem) -> AbsoluteEstimate:
         pushes=0 if problem.force is None else problem.force.pushes,
         agreement=best.agreement,
         tests=tuple(judge_press(best, tried, i, p) for i, p in enumerate(probability)),
+        center_doubt=sum(
+            fraction
+            for (one, _), fraction in zip(counted, fractions, strict=True)
+            if len(searched) > 1 and one.problem.center_unpushed is None
+        ),
     )
+
+
+def _disagree(tried: dict[Lines, AbsoluteFit]) -> bool:
+    """Whether many weighings agree badly with pushes, whatever the tilting lines are."""
+    best = max(tried.values(), key=calc_log_evidence)
+    log = best.problem.log
+    counting = sum(line != TiltingLine.NONE for line in best.problem.tilting_lines)
+    enough = counting + len(log.lifts) >= MIN_WEIGHINGS
+    return enough and best.agreement < MIN_AGREEMENT_PROBABILITY
 
 
 def search_lines(problem: MassProblem) -> dict[Lines, AbsoluteFit]:

@@ -111,6 +111,7 @@ def calc_estimate(
         prior=prior or AbsolutePrior(),
         noise=noise or PoseNoise(),
         gravity=found.physics.gravity,
+        center_unpushed=_expect_center(found),
     )
     try:
         return _add_gyration(found, estimate_absolute(problem), seed)
@@ -193,6 +194,22 @@ def calc_center_prior(found: Identification) -> tuple[Array, Array]:
         center, covariance = calc_center_of_mass(found)
     ridge = WHOLE_OBJECT * obj.radius_of_gyration**2
     return center, covariance + ridge * np.eye(2)
+
+
+def _expect_center(found: Identification) -> tuple[Array, Array] | None:
+    """Where the center of mass is expected by the outline alone.
+
+    In its middle, give or take the outline's own spread; None where it was told.
+
+    Returns:
+        p_BBcm (2,), m, body frame, and its covariance (2, 2), m².
+    """
+    obj = found.obj
+    if obj.prior.center_of_mass is not None:
+        return None
+    arm = obj.p_BC - obj.p_BC.mean(axis=0)
+    spread = arm.T @ arm / obj.n
+    return obj.p_BC.mean(axis=0), spread + WHOLE_OBJECT * obj.radius_of_gyration**2 * np.eye(2)
 
 
 def believe_before(found: Identification) -> AbsoluteEstimate:

@@ -51,6 +51,7 @@ import numpy as np
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.identification.absolute.estimate import LINE_DISTANCE
 from gridpush_drake.pushes.weighings import FORCE_STD, TiltTest
 
 HOVER_TOLERANCE = 0.0005
@@ -142,9 +143,8 @@ class PressOptions:
         hold_gain: fraction of the error of the tip's height, and of its place where it is held
             sideways, by which the command is corrected in each sample.
         dwell_time: how long the force is averaged at the tilt, s.
-        max_tilt: tilt about the edge up to which the tip follows an object that gives way, rad. It
-            is what the tip's descent over its distance from the edge says; an object that rocks
-            about a line farther inside tilts by less.
+        max_tilt: tilt up to which the tip follows an object that gives way, rad, as the tip's
+            descent says it.
         spare_tilt: further tilt in which a plateau of the force that began before may end, rad.
         look_ahead: time by which the tilt is foreseen, s.
         stiff_fraction: fraction of a plateau's force by which the force must rise for the object to
@@ -521,7 +521,7 @@ def _dwell(
     target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
 ) -> PressState:
     """Averages the force at the tilt, and watches that the object does not tilt further."""
-    tilt = _calc_tilt(target, now, sample)
+    tilt = _calc_tilt(target, now, sample.tip)
     after = replace(
         _hold(target, options, now, sample),
         forces=(*now.forces, _calc_force(target, now, sample)),
@@ -553,7 +553,7 @@ def _follow(
     assert now.command is not None
     speed = options.tilt_rate * target.calc_lever_arm(sample.tip)
     moved = _move(now, sample, now.command - np.array([0.0, 0.0, 1.0]), speed)
-    tilt = _calc_tilt(target, now, sample)
+    tilt = _calc_tilt(target, now, sample.tip)
     after = replace(
         moved,
         forces=(*now.forces, _calc_force(target, now, sample)),
@@ -584,14 +584,13 @@ def _follow(
 def _average(target: PressTarget, now: PressState, height: float, count: int) -> Plateau:
     """Averages the last samples, as many as `count`, of a plateau that began at a height, m."""
     places = np.array(now.places[-count:])
-    place = places[:, :2].mean(axis=0)
-    sunk = now.start_height - float(places[:, 2].mean())
+    place = places.mean(axis=0)
     return Plateau(
         force=float(np.mean(now.forces[-count:])),
-        place=place,
+        place=place[:2],
         samples=len(places),
         height=height,
-        tilt=max(sunk / target.calc_lever_arm(place), 0.0),
+        tilt=max(_calc_tilt(target, now, place), 0.0),
     )
 
 
@@ -617,16 +616,22 @@ def _has_risen(options: PressOptions, forces: Array) -> bool:
     return float(forces[-part:].mean()) - first > rise
 
 
-def _calc_tilt(target: PressTarget, now: PressState, sample: PressSample) -> float:
-    """Calculates the tilt about the edge that the tip's descent says, rad."""
-    return (now.start_height - float(sample.tip[2])) / target.calc_lever_arm(sample.tip)
+def _calc_tilt(target: PressTarget, now: PressState, tip: Array) -> float:
+    """Calculates the tilt that the descent of the tip to a place (3,), m, says, rad.
+
+    Since the object was last stiff it tilts about the edge. Before that it rocked, about lines of
+    supports inside the edge, and tilted by less.
+    """
+    arm = target.calc_lever_arm(tip)
+    rocked = (now.start_height - now.stiff_height) / (arm + LINE_DISTANCE)
+    return (now.stiff_height - float(tip[2])) / arm + rocked
 
 
 def _foresee_tilt(
     target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
 ) -> float:
     """Calculates the tilt, rad, that is reached a little later if the tip goes on as fast."""
-    tilt = _calc_tilt(target, now, sample)
+    tilt = _calc_tilt(target, now, sample.tip)
     return tilt + options.look_ahead * max(now.sink_rate, 0.0) / target.calc_lever_arm(sample.tip)
 
 
@@ -652,7 +657,7 @@ def _is_drawn_away(
 
 def _calc_drawn(target: PressTarget, now: PressState, sample: PressSample) -> float:
     """Calculates how far sideways the tilt that the tip's descent says draws the tip, m."""
-    return target.top * tan(max(_calc_tilt(target, now, sample), 0.0))
+    return target.top * tan(max(_calc_tilt(target, now, sample.tip), 0.0))
 
 
 def _go_up(
@@ -695,7 +700,7 @@ def _calc_force(target: PressTarget, now: PressState, sample: PressSample) -> fl
     # What the object feels is the opposite of what the tip does. On a top that is tilted by t, a
     # tip of radius r touches r sin t nearer to the edge than its center is.
     f = now.tare[0] - sample.force
-    tilt = 0.0 if now.touched is None else max(_calc_tilt(target, now, sample), 0.0)
+    tilt = 0.0 if now.touched is None else max(_calc_tilt(target, now, sample.tip), 0.0)
     arm = target.calc_lever_arm(sample.tip)
     height = float(sample.tip[2]) - target.tip_radius * cos(tilt)
     moment = -f[2] * (arm - target.tip_radius * sin(tilt)) + f[:2] @ target.normal * height
