@@ -152,7 +152,7 @@ ROWS: dict[str, ReleaseRow] = {
     ),
     "tilt_tests": ReleaseRow(
         f"{PACKAGE}.bench.tilt_tests.experiments:STUDY",
-        {"part": "scale", "bottom": "three_feet", "truths": 10, "seed": 5000},
+        {"part": "scale", "bottom": "three_feet", "truths": 10, "seed": 6000},
     ),
     "hypotheses": ReleaseRow(
         f"{PACKAGE}.bench.truth.hypotheses:STUDY",
