@@ -19,13 +19,20 @@ from gridpush_drake.perception.detection.detection import (
     DetectorOptions,
     detect_object,
 )
+from gridpush_drake.perception.detection.foreground import dilate, erode
 from gridpush_drake.perception.images.camera import Camera
-from gridpush_drake.perception.images.frames import Frame
+from gridpush_drake.perception.images.frames import Frame, Mask
 from gridpush_drake.perception.images.table_view import cover_pixels, find_off_table
 from gridpush_drake.systems.base.object_controller import AbstractStateSystem
 from gridpush_drake.systems.base.worker import Request, WorkerResult, answer_now, make_worker
 from gridpush_drake.systems.sensing.planar_pose_sensor import DEFAULT_PERIOD
 from gridpush_drake.systems.sensing.rgbd_inputs import RgbdInputs
+
+RIM_GAP = 2
+"""Distance in the picture, pixels, within which an object's rim is that of what hides it."""
+
+CUT_FRACTION = 0.02
+"""Fraction of an object's rim that may lie there, as where the robot's image just touches it."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +195,8 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
             self._camera,
             self._options,
             naming=self._naming,
-            unseen=(self._off_table, self._inputs.find_occluded(context)),
+            off_table=self._off_table,
+            hidden=self._inputs.find_occluded(context),
             seed=seed,
         )
         if self._worker is None:
@@ -201,7 +209,8 @@ def find_in_frame(
     camera: Camera,
     options: DetectorOptions | None,
     naming: ObjectNaming,
-    unseen: Iterable[NDArray[np.bool_] | None],
+    off_table: Mask | None,
+    hidden: Mask | None,
     seed: int,
 ) -> tuple[DetectedObject, GridObject] | str:
     """Finds the object in a picture, and divides it into cells.
@@ -211,7 +220,9 @@ def find_in_frame(
         camera: the camera that took it.
         options: what counts as an object.
         naming: name, prior and heading of the object.
-        unseen: masks (height, width) of pixels that are not looked at, or None.
+        off_table: (height, width) bool, pixels that do not show the table's top; None if unknown.
+        hidden: (height, width) bool, pixels that show the robot; None if unknown. Of an object
+            that these cut off nobody knows how it goes on behind the robot.
         seed: seed of the colors that are painted over these pixels.
 
     Returns:
@@ -220,7 +231,7 @@ def find_in_frame(
     try:
         camera.check_size(frame.color, "the color image")
         covered = np.zeros(frame.color.shape[:2], dtype=bool)
-        for mask in unseen:
+        for mask in (off_table, hidden):
             if mask is not None:
                 camera.check_size(mask, "the label image")
                 covered |= mask
@@ -229,6 +240,10 @@ def find_in_frame(
         detected = detect_object(
             *cover_pixels(frame.color, frame.depth, covered, seed), camera, options
         )
+        if hidden is not None and is_cut_off(
+            detected.mask, camera.undistort(hidden.astype(np.uint8)) > 0
+        ):
+            return "the robot hides a part of the object; expected all of it in view"
         x, y, _ = detected.X_WB
         detected = replace(detected, X_WB=np.array([x, y, naming.heading]))
         obj = detected.make_grid_object(name=naming.name)
@@ -241,6 +256,18 @@ def find_in_frame(
         return detected, replace(obj, prior=prior)
     except GridPushError as error:
         return str(error)
+
+
+def is_cut_off(mask: Mask, hidden: Mask) -> bool:
+    """Says whether the rim of an object ends at what hides it.
+
+    Args:
+        mask: (height, width) bool, the object's pixels.
+        hidden: (height, width) bool, pixels that show the robot.
+    """
+    rim = mask & ~erode(mask, 3)
+    beside = rim & dilate(hidden, 2 * RIM_GAP + 1)
+    return bool(beside.sum() > CUT_FRACTION * rim.sum())
 
 
 def _settle(now: DetectorState, answer: WorkerResult) -> DetectorState:

@@ -362,7 +362,9 @@ def test_an_object_that_rocked_first_is_pressed_on_as_far_as_another_one():
             plateaus=(Plateau(5.0, TARGET.hover[:2], 50, tip[2], 0.0),),
         )
         sample = PressSample(0.01, tip, np.array([0.0, 0.0, 5.0]))
-        after = advance_press(TARGET, PressOptions(max_tilt=0.9 * (rocked + sunk) / arm), state, sample)
+        after = advance_press(
+            TARGET, PressOptions(max_tilt=0.9 * (rocked + sunk) / arm), state, sample
+        )
         ends.append(after.phase)
         inside = stiff / (arm + LINE_DISTANCE)
         assert after.tilt == pytest.approx((rocked + sunk - stiff) / arm + inside)

@@ -13,7 +13,12 @@ from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
 
 from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.perception.detection.detection import detect_object
-from gridpush_drake.systems.sensing.object_detector import ObjectDetector, ObjectNaming
+from gridpush_drake.perception.images.frames import Frame
+from gridpush_drake.systems.sensing.object_detector import (
+    ObjectDetector,
+    ObjectNaming,
+    find_in_frame,
+)
 from tests.systems.test_object_pose_estimator import (
     ARM,
     CAMERA,
@@ -127,6 +132,34 @@ def test_looks_until_the_arm_is_gone():
     assert "hides all" in run.read("message") and np.isnan(run.read("object_pose")).all()
     run.advance(0.35)
     assert run.read("found")[0] == 1 and run.read("message") == ""
+
+
+def test_an_object_of_which_the_robot_hides_a_part_is_not_taken_for_a_smaller_one():
+    painter = Painter(np.inf)
+    images = [
+        painter.GetOutputPort(name).Eval(painter.CreateDefaultContext()).data
+        for name in ("color", "depth")
+    ]
+    frame = Frame(images[0][..., :3].copy(), images[1][..., 0].copy(), 0.0)
+    mask = detect(0.0).mask
+    columns = np.flatnonzero(mask.any(axis=0))
+    middle = int(columns.mean())
+
+    def look(hidden):
+        return find_in_frame(frame, CAMERA, None, NAMING, None, hidden, seed=0)
+
+    for first, cut in ((middle, True), (columns[-1] + 1, True), (columns[-1] + 6, False)):
+        hidden = np.zeros_like(mask)
+        hidden[:, first:] = True
+        found = look(hidden)
+        assert isinstance(found, str) == cut, first
+        if cut:
+            assert found == "the robot hides a part of the object; expected all of it in view"
+    # A corner of the robot's image that just touches the object's hides nothing of it.
+    rows = np.flatnonzero(mask[:, columns[-1]])
+    hidden = np.zeros_like(mask)
+    hidden[rows[0], columns[-1] + 1 :] = True
+    assert not isinstance(look(hidden), str)
 
 
 def test_beside_the_diagram_it_finds_the_same_a_delay_later_in_a_clone_too():

@@ -304,7 +304,8 @@ class PictureTracker:
             self._silhouette.camera,
             DetectorOptions(parts=True),
             naming=naming,
-            unseen=(self._off_table, hidden),
+            off_table=self._off_table,
+            hidden=hidden,
             seed=self._scenario.seed,
         )
         if isinstance(found, str):
