@@ -5,9 +5,15 @@
 """
 
 from importlib import import_module
+from importlib.util import find_spec
 from types import ModuleType
 
 from gridpush_drake.errors import MissingExtraError
+
+
+def is_installed(package: str) -> bool:
+    """Whether a package that an extra installs is there."""
+    return find_spec(package) is not None
 
 
 def import_extra(package: str, extra: str) -> ModuleType:

@@ -7,7 +7,6 @@ are timed.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from time import perf_counter, sleep, thread_time
 from typing import Any
 
@@ -27,6 +26,7 @@ from gridpush_drake.bench.speed_cases import (
 from gridpush_drake.bench.study import Done, JobKind, Study, StudyOptions, option
 from gridpush_drake.bench.worlds import plant
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
+from gridpush_drake.extras import is_installed
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
@@ -175,7 +175,7 @@ def make_jobs(options: DrakeBenchOptions) -> list[plant.PlantJob | StationJob]:
     if options.camera == POSE_CAMERA:
         # MuJoCo is in an extra, and is left out where it is not installed
         plants = [plant.PLANAR_PLANT, plant.FREE_PLANT]
-        if find_spec("mujoco"):
+        if is_installed("mujoco"):
             plants.append(plant.MUJOCO_PLANT)
         pushes = plant.make_jobs(
             options.plant_objects,

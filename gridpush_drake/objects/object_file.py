@@ -262,6 +262,9 @@ def is_name(text: str) -> bool:
     return 0 < len(text) <= MAX_NAME and printable
 
 
+OBJECT_FILE = "object.yaml"
+"""Name of an object's file in a folder with pushes of it, as runs and imports write it."""
+
 MODEL_KEY = "gridpush_model"
 """The first key of a learned model's file."""
 

@@ -50,6 +50,9 @@ from gridpush_drake.pushes.csv_table import (
 )
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 
+PUSHES_FILE = "pushes.csv"
+"""Name of a push log in a folder with its object's file, as runs and imports write it."""
+
 TIP_COLUMNS = ("tip_x", "tip_y")
 """Columns of the tip's center."""
 

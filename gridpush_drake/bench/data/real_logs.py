@@ -20,6 +20,7 @@ from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import OBJECT_FILE
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.importers.cmu import POSE_SIZE
@@ -51,9 +52,6 @@ DUBINS_LOG = "dubins"
 
 IMPORTED_LOG = "imported"
 """Kind of a push log in this package's own form, with its object's file beside."""
-
-OBJECT_BESIDE = "object.yaml"
-"""Name of that file: `gridpush import` writes both into a folder (`--out-dir`)."""
 
 OUTLINE_ENDING = "_outline.csv"
 """Ending of the name of the file beside such a log that has the outline of what is pushed: columns
@@ -133,7 +131,7 @@ def find_push_logs(
     if DUBINS_LOG in kinds:
         expected += f", or runs of two fingers (NAME.csv, with NAME{OUTLINE_ENDING} beside)"
     if IMPORTED_LOG in kinds:
-        expected += f", or folders that `gridpush import` wrote ({OBJECT_BESIDE} beside)"
+        expected += f", or folders that `gridpush import` wrote ({OBJECT_FILE} beside)"
     check_folder(data, expected)
     texts = [(_count_pushes(path), path) for path in sorted(data.rglob("*.txt"))]
     logs = [
@@ -147,7 +145,7 @@ def find_push_logs(
     if IMPORTED_LOG in kinds:
         logs += [
             (IMPORTED_LOG, path)
-            for beside in sorted(data.rglob(OBJECT_BESIDE))
+            for beside in sorted(data.rglob(OBJECT_FILE))
             for path in sorted(beside.parent.glob("*.csv"))
             if _count_imported(path) >= min_pushes
         ]

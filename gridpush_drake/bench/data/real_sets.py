@@ -23,7 +23,6 @@ from gridpush_drake.bench.data.real_logs import (
     CMU_RHO,
     DUBINS_LOG,
     IMPORTED_LOG,
-    OBJECT_BESIDE,
     OUTLINE_ENDING,
     SIMULATED_LOG,
     TWO_POINT_LOG,
@@ -32,6 +31,7 @@ from gridpush_drake.bench.data.real_logs import (
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array, compose, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import OBJECT_FILE
 from gridpush_drake.pushes.csv_table import fail, read_number, read_table
 from gridpush_drake.pushes.importers import find_importer
 from gridpush_drake.pushes.importers.camera_frame import find_camera_frame, place_in_robot_frame
@@ -215,7 +215,7 @@ def read_set(path: Path, kind: str) -> RealSet:
     if kind == DUBINS_LOG:
         return _read_runs(path)
     if kind == IMPORTED_LOG:
-        obj = GridObject.from_yaml(path.with_name(OBJECT_BESIDE))
+        obj = GridObject.from_yaml(path.with_name(OBJECT_FILE))
         log = PushLog.read_csv(path, obj.prior.pusher_radius)
     else:
         log, obj = find_importer(kind)().read(path)

@@ -20,7 +20,6 @@ slow robots do, as that changes next to nothing: see `PLANT_SPEED`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +70,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.extras import is_installed
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
@@ -167,7 +167,7 @@ def make_jobs(options: RealityBenchOptions) -> list[RealityJob]:
     if options.plants:
         engines.append(DRAKE_ENGINE)
     # MuJoCo is in an extra, so that its column is left out where it is not installed
-    if options.plants and find_spec("mujoco"):
+    if options.plants and is_installed("mujoco"):
         engines.append(MUJOCO_ENGINE)
     return [
         RealityJob(

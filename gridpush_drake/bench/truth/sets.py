@@ -26,8 +26,9 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.ground_truth import FEET_SLACK, draw_feet
 from gridpush_drake.multibody.mjcf import FOUNDATION_SINKAGE
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.object_file import OBJECT_FILE, find_shipped_object
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
+from gridpush_drake.pushes.push_csv import PUSHES_FILE
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 OUTLINE_NAMES = ("claw_hammer", "combination_wrench", "open_book", "toolbox", "spray_bottle")
@@ -110,12 +111,6 @@ BEARING_FEET = 3
 
 MAX_PUSH_TRIES = 20000
 """Number of random pushes that are tried before it is said that none moves the body."""
-
-OBJECT_FILE = "object.yaml"
-"""File of a set that has the object."""
-
-PUSHES_FILE = "pushes.csv"
-"""File of a set that has the pushes to learn from."""
 
 HELD_OUT_PUSHES = "heldout.csv"
 """File of a set that has the pushes that are held out."""

@@ -19,7 +19,13 @@ from gridpush_drake.errors import (
 )
 from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import SeenSchema, TagSchema, dump_object, speak_name
+from gridpush_drake.objects.object_file import (
+    OBJECT_FILE,
+    SeenSchema,
+    TagSchema,
+    dump_object,
+    speak_name,
+)
 from gridpush_drake.perception import (
     SHEET_SIZES,
     Camera,
@@ -108,7 +114,7 @@ def make_object(
     ] = None,
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="OBJECT.yaml", help="The object file to write.")
-    ] = Path("object.yaml"),
+    ] = Path(OBJECT_FILE),
     picture: Annotated[
         Path | None,
         typer.Option(

@@ -18,8 +18,9 @@ from gridpush_drake.cli.shell.lazy_group import declare, make_single, refuse_unk
 from gridpush_drake.errors import OutputError
 from gridpush_drake.files import exists, make_folder
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import speak_name
+from gridpush_drake.objects.object_file import OBJECT_FILE, speak_name
 from gridpush_drake.pushes.importers import IMPORTER_CLASSES, Importer, find_importer
+from gridpush_drake.pushes.push_csv import PUSHES_FILE
 
 OutDir = Annotated[
     Path | None,
@@ -149,8 +150,8 @@ def _check_outputs(
             "--out-dir: expected a folder, or both --out-csv and --out-object instead of it"
         )
     folder = out_dir or Path()
-    csv_path = out_csv or folder / "pushes.csv"
-    object_path = out_object or folder / "object.yaml"
+    csv_path = out_csv or folder / PUSHES_FILE
+    object_path = out_object or folder / OBJECT_FILE
     if out_dir is None or out_dir.is_dir():
         options.check_outputs(force, csv_path, object_path)
     elif exists(out_dir):

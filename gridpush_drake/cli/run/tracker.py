@@ -11,7 +11,7 @@ from gridpush_drake.cli.run.twin import DEFAULT_SCENARIO, Scenario, read_robot_s
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import PLACE_FORMAT, print_line, print_notice
 from gridpush_drake.files import check_writable, write_whole
-from gridpush_drake.objects.object_file import dump_object
+from gridpush_drake.objects.object_file import OBJECT_FILE, dump_object
 from gridpush_drake.station.hardware.picture_tracker import PictureTracker
 from gridpush_drake.station.links.lcm.lcm_address import DEFAULT_URL
 from gridpush_drake.station.links.link import LinkRole
@@ -47,7 +47,7 @@ def tracker(
             metavar="OBJECT.yaml",
             help="The object file to write, for what is found in the first picture.",
         ),
-    ] = Path("object.yaml"),
+    ] = Path(OBJECT_FILE),
     force: options.Force = False,
 ) -> None:
     """Find an object in a camera's pictures, and tell `gridpush robot` where it is.

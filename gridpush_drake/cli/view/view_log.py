@@ -21,15 +21,12 @@ from gridpush_drake.identification.prediction import (
     predict,
     summarize_errors,
 )
-from gridpush_drake.objects.object_file import speak_name
+from gridpush_drake.objects.object_file import OBJECT_FILE, speak_name
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.units import MM_PER_M
 
 MODEL_BESIDE = "model.yaml"
 """Name of the model that is looked for beside a push log; `gridpush demo` writes it there."""
-
-OBJECT_BESIDE = "object.yaml"
-"""Name of the object that is looked for beside a push log; `gridpush demo` writes it there."""
 
 
 class ViewError(GridPushError):
@@ -62,14 +59,14 @@ def find_target(
         raise ViewError(
             f"--model: {model_file} is not a model; expected a file that `gridpush identify` wrote"
         )
-    beside = (log.parent / MODEL_BESIDE, log.parent / OBJECT_BESIDE)
+    beside = (log.parent / MODEL_BESIDE, log.parent / OBJECT_FILE)
     chosen = model_file or object_file or next((path for path in beside if is_file(path)), None)
     if not exists(log):
         raise ViewError(f"{log}: there is no such file")
     if chosen is None:
         raise ViewError(
             f"{log}: its object is unknown; expected --object, --model, or {MODEL_BESIDE} or "
-            f"{OBJECT_BESIDE} beside it"
+            f"{OBJECT_FILE} beside it"
         )
     return options.load_target(str(chosen), largest_piece)
 

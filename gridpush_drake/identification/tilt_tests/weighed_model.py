@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 from shapely import Point
+from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
@@ -53,6 +54,8 @@ WHOLE_OBJECT = 1e-6
 so that the center of an object that is a thin line has a covariance, too."""
 
 
+# As in `identify`: the number of threads of BLAS decides the order of sums, and so the last bits.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def estimate_masses(
     found: Identification,
     log: MassTestLog,

@@ -14,6 +14,7 @@ from gridpush_drake.notebook import count
 from gridpush_drake.planning.scene.fetching import POKE_KIND, SLIDE_KIND, FetchOptions
 from gridpush_drake.planning.scene.joint_loop import SceneMode
 from gridpush_drake.planning.scene.separation import WANTED_CLEARANCE, calc_clearances_along
+from gridpush_drake.pushes.push_csv import PUSHES_FILE
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.report.scene_page import describe_models, list_scene_numbers
@@ -28,7 +29,7 @@ from gridpush_drake.station.tasks.scene_task import (
     name_objects,
 )
 from gridpush_drake.station.tasks.task import TaskStatus
-from gridpush_drake.station.tasks.task_kind import MODEL_FILE, PUSHES_FILE, REPORT_FILE, GoalKind
+from gridpush_drake.station.tasks.task_kind import MODEL_FILE, REPORT_FILE, GoalKind
 from gridpush_drake.units import MM_PER_M
 
 LOOKING_PHASE = (

@@ -27,6 +27,8 @@ from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.ground_truth import describe_truth
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import OBJECT_FILE
+from gridpush_drake.pushes.push_csv import PUSHES_FILE
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.stream import write_stream_csv
 from gridpush_drake.report.page import ReportSummary, make_report
@@ -58,14 +60,12 @@ FIRST_REASONS = (ContactPointStatus().reason, PreGraspStatus().reason)
 REPORT_FILE = "report.html"
 RECORDING_FILE = "recording.html"
 MODEL_FILE = "model.yaml"
-OBJECT_FILE = "object.yaml"
-PUSHES_FILE = "pushes.csv"
 HELD_OUT = "held_out.csv"
 STREAM_FILE = "stream.csv"
 WEIGHINGS_FILE = "weighings.csv"
 TRUTH_FILE = "truth.yaml"
 SCENARIO_FILE = "scenario.yaml"
-"""Names of the files that a run leaves in its folder."""
+"""Names of the files that a run leaves in its folder, beside OBJECT_FILE and PUSHES_FILE."""
 
 RUN_FILES = (
     REPORT_FILE,
