@@ -31,8 +31,8 @@ from gridpush_drake.systems.sensing.rgbd_inputs import RgbdInputs
 RIM_GAP = 2
 """Distance in the picture, pixels, within which an object's rim is that of what hides it."""
 
-CUT_FRACTION = 0.02
-"""Fraction of an object's rim that may lie there, as where the robot's image just touches it."""
+CUT_FRACTION = 0.1
+"""Fraction of an object's rim that may lie there, as where a finger's image reaches over it."""
 
 
 @dataclass(frozen=True)
