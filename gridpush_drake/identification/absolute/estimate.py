@@ -316,6 +316,7 @@ class MassProblem:
         lines: about which line the object tilted in each press; about the edge in all where empty.
         center_unpushed: (2,) where the center of mass is expected if the pushes are wrong about it,
             m, and (2, 2) its covariance, m²; None where they cannot be.
+        is_center_doubted: whether they are supposed to be.
     """
 
     log: MassTestLog
@@ -327,13 +328,14 @@ class MassProblem:
     gravity: float = GRAVITY
     lines: tuple[TiltingLine, ...] = ()
     center_unpushed: tuple[Array, Array] | None = None
+    is_center_doubted: bool = False
 
     def doubt_center(self) -> "MassProblem | None":
         """The problem if the pushes are wrong about the center of mass; None if they cannot be."""
         if self.center_unpushed is None:
             return None
         center, covariance = self.center_unpushed
-        return replace(self, center=center, center_covariance=covariance, center_unpushed=None)
+        return replace(self, center=center, center_covariance=covariance, is_center_doubted=True)
 
     def suppose(self, lines: tuple[TiltingLine, ...]) -> "MassProblem":
         """The problem with other tilting lines."""

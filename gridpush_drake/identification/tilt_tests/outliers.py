@@ -100,21 +100,15 @@ def estimate_absolute(problem: MassProblem) -> AbsoluteEstimate:
     """
     if not len(problem.log) and problem.force is None:
         raise IdentificationError("weighings: there are none; expected at least one, or a force")
-    # The fits of all lines that were tried, with the log probability of what they suppose.
-    searched = [(search_lines(problem), 0.0)]
+    searches = [search_lines(problem)]
     doubted = problem.doubt_center()
-    if doubted is not None and _disagree(searched[0][0]):
-        searched = [
-            (searched[0][0], log(1 - CENTER_WRONG_PRIOR)),
-            (search_lines(doubted), log(CENTER_WRONG_PRIOR)),
-        ]
-    fits = [one for tried, _ in searched for one in tried.values()]
-    evidence = np.array(
-        [calc_log_evidence(one) + prior for tried, prior in searched for one in tried.values()]
-    )
+    if doubted is not None and _disagree(searches[0]):
+        searches.append(search_lines(doubted))
+    fits = [one for tried in searches for one in tried.values()]
+    evidence = np.array([calc_log_evidence(one) for one in fits])
     weight = np.exp(evidence - evidence.max())
     best = fits[int(np.argmax(evidence))]
-    tried = searched[0 if best in searched[0][0].values() else 1][0]
+    tried = searches[1 if best.problem.is_center_doubted else 0]
     counted = [(one, w) for one, w in zip(fits, weight, strict=True) if w >= MIN_WEIGHT]
     total = sum(w for _, w in counted)
     fractions = [w / total for _, w in counted]
@@ -146,7 +140,7 @@ def estimate_absolute(problem: MassProblem) -> AbsoluteEstimate:
         center_doubt=sum(
             fraction
             for (one, _), fraction in zip(counted, fractions, strict=True)
-            if len(searched) > 1 and one.problem.center_unpushed is None
+            if one.problem.is_center_doubted
         ),
     )
 
@@ -204,6 +198,8 @@ def calc_log_evidence(fit: AbsoluteFit) -> float:
     """Calculates how well observations and tilting lines go together, see above."""
     problem = fit.problem
     total = -fit.loss - fit.log_determinant / 2
+    if problem.is_center_doubted:
+        total += log(CENTER_WRONG_PRIOR / (1 - CENTER_WRONG_PRIOR))
     for press, line in zip(problem.log.presses, problem.tilting_lines, strict=True):
         supports = UNKNOWN_WAY_PRIOR
         if press.free_way is not None:
