@@ -141,7 +141,7 @@ class AbsoluteSchema(StrictSchema):
     gyration: NotNegative = 0.0
     gyration_std: NotNegative = 0.0
     tests: Annotated[list[TiltTestSchema], Field(default_factory=list)]
-    center_doubt: Annotated[float, Field(ge=0, le=1)] = 0.0
+    center_outlier_probability: Annotated[float, Field(ge=0, le=1)] = 0.0
     mean: Annotated[list[float], Field(min_length=WANTED_UNKNOWNS, max_length=WANTED_UNKNOWNS)]
     covariance: str
 
@@ -476,7 +476,7 @@ def _describe_absolute(absolute: AbsoluteEstimate) -> AbsoluteSchema:
         tests=[
             TiltTestSchema(**(asdict(one) | {"place": list(one.place)})) for one in absolute.tests
         ],
-        center_doubt=absolute.center_doubt,
+        center_outlier_probability=absolute.center_outlier_probability,
         mean=absolute.mean.tolist(),
         covariance=pack_symmetric(absolute.covariance),
         **entries,
@@ -495,7 +495,7 @@ def _restore_absolute(schema: AbsoluteSchema) -> AbsoluteEstimate:
         gyration=schema.gyration,
         gyration_std=schema.gyration_std,
         tests=tuple(_restore_test(one) for one in schema.tests),
-        center_doubt=schema.center_doubt,
+        center_outlier_probability=schema.center_outlier_probability,
     )
 
 

@@ -16,7 +16,7 @@ from gridpush_drake.identification.statistics.posterior import LEARNED_FRACTION
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.units import MM_PER_M
 
-DOUBTED = 0.5
+LIKELY_OUTLIER = 0.5
 """Probability that the pushes are wrong about the center of mass, above which this is said."""
 
 
@@ -187,7 +187,7 @@ def _describe_mass_tests(absolute: AbsoluteEstimate) -> str:
         words += f"({least:.3f} to {most:.3f})."
     else:
         words += "The forces of no push were measured, so that the friction stays as supposed."
-    if absolute.center_doubt > DOUBTED:
+    if absolute.center_outlier_probability > LIKELY_OUTLIER:
         words += (
             " What the pushes say of the center of mass is not used, for it disagrees with all "
             "weighings together: the object may stand on feet of very different friction."

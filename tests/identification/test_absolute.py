@@ -218,18 +218,18 @@ def test_pushes_that_are_wrong_about_the_center_do_not_spoil_what_weighings_say(
     )
     spread = 0.05**2 * np.eye(2)
     assert estimate_absolute(wrong).contradictory
-    found = estimate_absolute(replace(wrong, center_unpushed=(np.zeros(2), spread)))
-    assert found.center_doubt > 0.99
+    found = estimate_absolute(replace(wrong, outline_center=(np.zeros(2), spread)))
+    assert found.center_outlier_probability > 0.99
     assert not found.contradictory
     assert sum(one.line == TiltingLine.EDGE for one in found.tests) == 6
     off = found.mean - TRUTH.unknowns
     assert off @ np.linalg.solve(found.covariance, off) < 13.3  # 99 % of a chi square of 4
     # Pushes that are right are believed, and so are all where few weighings speak against them.
-    right = replace(problem, center_unpushed=(np.zeros(2), spread))
+    right = replace(problem, outline_center=(np.zeros(2), spread))
     np.testing.assert_array_equal(estimate_absolute(right).mean, estimate_absolute(problem).mean)
     few = replace(wrong, log=MassTestLog(wrong.log.presses[:4]))
-    doubtful = replace(few, center_unpushed=(np.zeros(2), spread))
-    assert estimate_absolute(doubtful).center_doubt == 0.0
+    doubtful = replace(few, outline_center=(np.zeros(2), spread))
+    assert estimate_absolute(doubtful).center_outlier_probability == 0.0
 
 
 def _spoil(problem: MassProblem, index: int, **changes: Any) -> MassProblem:

@@ -122,9 +122,9 @@ PUSHER_NAMES = (DISC_PUSHER, *PUSHER_SHAPES)
 """Names of all pushers."""
 
 SHAPE_SPEED = PUSHER_SPEED / 4
-"""Speed of a pusher with a shape, m/s. The model follows it quasi-statically, and the plants' object
-has inertia: at the disc's speed it glides on by up to 1.2 mm where the pusher leaves it, at a
-quarter of it by a tenth of that."""
+"""Speed of a pusher with a shape, m/s. The model follows it quasi-statically, and the plants'
+object has inertia: at the disc's speed it glides on by up to 1.2 mm where the pusher leaves it, at
+a quarter of it by a tenth of that."""
 
 MAX_CURVATURE = 5.0
 """Greatest curvature of the path of a pusher with a shape, 1/m; its sign is drawn, too."""

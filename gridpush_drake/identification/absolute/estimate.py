@@ -198,8 +198,8 @@ class AbsoluteEstimate:
         agreement: probability of observations that agree as badly as these do, or worse; of those
             that were not left out.
         tests: how each press was judged, in their order.
-        center_doubt: probability that the pushes are wrong about the center of mass, as if feet of
-            very different friction bear the object.
+        center_outlier_probability: that the pushes are wrong about the center of mass, as where
+            feet of very different friction bear the object.
         gyration: radius of gyration about the vertical axis through c, m; 0 where it is not known.
         gyration_std: its standard deviation, m.
     """
@@ -213,7 +213,7 @@ class AbsoluteEstimate:
     gyration: float = 0.0
     gyration_std: float = 0.0
     tests: "tuple[TiltTestCheck, ...]" = ()
-    center_doubt: float = 0.0
+    center_outlier_probability: float = 0.0
 
     @property
     def total_mass(self) -> float:
@@ -290,7 +290,7 @@ class AbsoluteEstimate:
             "pushes": self.pushes,
             "agreement": self.agreement,
             "contradictory": self.contradictory,
-            "center_doubt": self.center_doubt,
+            "center_outlier_probability": self.center_outlier_probability,
             "tests": [asdict(one) for one in self.tests],
         }
 
@@ -314,9 +314,9 @@ class MassProblem:
         noise: of poses and edges.
         gravity: m/s².
         lines: about which line the object tilted in each press; about the edge in all where empty.
-        center_unpushed: (2,) where the center of mass is expected if the pushes are wrong about it,
+        outline_center: (2,) where the center of mass is expected if the pushes are wrong about it,
             m, and (2, 2) its covariance, m²; None where they cannot be.
-        is_center_doubted: whether they are supposed to be.
+        is_center_outlier: whether they are supposed to be.
     """
 
     log: MassTestLog
@@ -327,15 +327,15 @@ class MassProblem:
     noise: PoseNoise = field(default_factory=PoseNoise)
     gravity: float = GRAVITY
     lines: tuple[TiltingLine, ...] = ()
-    center_unpushed: tuple[Array, Array] | None = None
-    is_center_doubted: bool = False
+    outline_center: tuple[Array, Array] | None = None
+    is_center_outlier: bool = False
 
-    def doubt_center(self) -> "MassProblem | None":
+    def suppose_center_outlier(self) -> "MassProblem | None":
         """The problem if the pushes are wrong about the center of mass; None if they cannot be."""
-        if self.center_unpushed is None:
+        if self.outline_center is None:
             return None
-        center, covariance = self.center_unpushed
-        return replace(self, center=center, center_covariance=covariance, is_center_doubted=True)
+        center, covariance = self.outline_center
+        return replace(self, center=center, center_covariance=covariance, is_center_outlier=True)
 
     def suppose(self, lines: tuple[TiltingLine, ...]) -> "MassProblem":
         """The problem with other tilting lines."""

@@ -101,14 +101,14 @@ def estimate_absolute(problem: MassProblem) -> AbsoluteEstimate:
     if not len(problem.log) and problem.force is None:
         raise IdentificationError("weighings: there are none; expected at least one, or a force")
     searches = [search_lines(problem)]
-    doubted = problem.doubt_center()
-    if doubted is not None and _disagree(searches[0]):
-        searches.append(search_lines(doubted))
+    outlying = problem.suppose_center_outlier()
+    if outlying is not None and _disagree(searches[0]):
+        searches.append(search_lines(outlying))
     fits = [one for tried in searches for one in tried.values()]
     evidence = np.array([calc_log_evidence(one) for one in fits])
     weight = np.exp(evidence - evidence.max())
     best = fits[int(np.argmax(evidence))]
-    tried = searches[1 if best.problem.is_center_doubted else 0]
+    tried = searches[1 if best.problem.is_center_outlier else 0]
     counted = [(one, w) for one, w in zip(fits, weight, strict=True) if w >= MIN_WEIGHT]
     total = sum(w for _, w in counted)
     fractions = [w / total for _, w in counted]
@@ -137,10 +137,10 @@ def estimate_absolute(problem: MassProblem) -> AbsoluteEstimate:
         pushes=0 if problem.force is None else problem.force.pushes,
         agreement=best.agreement,
         tests=tuple(judge_press(best, tried, i, p) for i, p in enumerate(probability)),
-        center_doubt=sum(
+        center_outlier_probability=sum(
             fraction
             for (one, _), fraction in zip(counted, fractions, strict=True)
-            if one.problem.is_center_doubted
+            if one.problem.is_center_outlier
         ),
     )
 
@@ -198,7 +198,7 @@ def calc_log_evidence(fit: AbsoluteFit) -> float:
     """Calculates how well observations and tilting lines go together, see above."""
     problem = fit.problem
     total = -fit.loss - fit.log_determinant / 2
-    if problem.is_center_doubted:
+    if problem.is_center_outlier:
         total += log(CENTER_WRONG_PRIOR / (1 - CENTER_WRONG_PRIOR))
     for press, line in zip(problem.log.presses, problem.tilting_lines, strict=True):
         supports = UNKNOWN_WAY_PRIOR

@@ -114,7 +114,7 @@ def calc_estimate(
         prior=prior or AbsolutePrior(),
         noise=noise or PoseNoise(),
         gravity=found.physics.gravity,
-        center_unpushed=_expect_center(found),
+        outline_center=_expect_center(found),
     )
     try:
         return _add_gyration(found, estimate_absolute(problem), seed)
