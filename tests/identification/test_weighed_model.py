@@ -105,6 +105,24 @@ def test_a_center_may_be_elsewhere_than_that_of_friction(learned):
     np.testing.assert_allclose(calc_center_prior(even)[1], alone, rtol=1e-2)
 
 
+def test_a_center_that_weighings_put_elsewhere_than_pushes_is_weighed_and_said(learned, tmp_path):
+    """It is 25 mm from where pushes see the friction, as on feet of very different friction."""
+    center = learned.params.center_of_mass(learned.obj) + [-0.02, -0.015]
+    made = Truth(MASS, center, 0.4)
+    rng = np.random.default_rng(5)
+    problem = make_problem(made, rng, (0.0, np.pi, np.pi / 2), force_std=0.05, size=SIZE)
+    found = estimate_masses(learned, problem.log)
+    assert found.weighed is not None
+    assert found.absolute.center_outlier_probability > 0.9
+    off = found.absolute.center_of_mass - center
+    assert np.abs(off).max() < 0.004
+    said = " ".join(found.identifiability.statements)
+    assert "What the pushes say of the center of mass is not used" in said
+    write_model(tmp_path / "model.yaml", found)
+    back = read_model(tmp_path / "model.yaml")
+    assert back.absolute.center_outlier_probability == found.absolute.center_outlier_probability
+
+
 def test_draws_spread_as_is_said(weighed):
     draws = weighed.draws(300, seed=2)
     found = weighed.absolute
