@@ -35,8 +35,8 @@ GROWTH = 2.0
 BUILDS = """
 import gc
 from pathlib import Path
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.push_station import MakePushStation
+from gridpush_drake.station.schema.scenario import PushScenario
+from gridpush_drake.station.simulated.push_station import MakePushStation
 
 def read_memory():
     lines = Path("/proc/self/status").read_text().splitlines()
