@@ -316,6 +316,9 @@ def _decode(name: str, text: str) -> Array:
     return values
 
 
+MODEL_FILE = "model.yaml"
+"""Name of a model's file in a folder with the pushes that it was learned from."""
+
 EXPECTED_MODEL = "a gridpush model"
 """The expected form of a file, for messages."""
 

@@ -17,8 +17,8 @@ from gridpush_drake.perception.detection.detection import (
     DetectedObject,
     DetectorOptions,
     detect_object,
+    is_cut_off,
 )
-from gridpush_drake.perception.detection.foreground import dilate, erode
 from gridpush_drake.perception.images.camera import Camera
 from gridpush_drake.perception.images.frames import Frame, Mask
 from gridpush_drake.perception.images.table_view import cover_pixels, find_off_table
@@ -26,12 +26,6 @@ from gridpush_drake.systems.base.object_controller import AbstractStateSystem
 from gridpush_drake.systems.base.worker import Request, WorkerResult, answer_now, make_worker
 from gridpush_drake.systems.sensing.planar_pose_sensor import DEFAULT_PERIOD
 from gridpush_drake.systems.sensing.rgbd_inputs import RgbdInputs
-
-RIM_GAP = 2
-"""Distance in the picture, pixels, within which an object's rim is that of what hides it."""
-
-CUT_FRACTION = 0.1
-"""Fraction of an object's rim that may lie there, as where a finger's image reaches over it."""
 
 
 @dataclass(frozen=True)
@@ -255,18 +249,6 @@ def find_in_frame(
         return detected, replace(obj, prior=prior)
     except GridPushError as error:
         return str(error)
-
-
-def is_cut_off(mask: Mask, hidden: Mask) -> bool:
-    """Says whether the rim of an object ends at what hides it.
-
-    Args:
-        mask: (height, width) bool, the object's pixels.
-        hidden: (height, width) bool, pixels that show the robot.
-    """
-    rim = mask & ~erode(mask, 3)
-    beside = rim & dilate(hidden, 2 * RIM_GAP + 1)
-    return bool(beside.sum() > CUT_FRACTION * rim.sum())
 
 
 def _settle(now: DetectorState, answer: WorkerResult) -> DetectorState:

@@ -14,7 +14,7 @@ from gridpush_drake.display.cell_colors import Shown
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import exists, is_file
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.model_file import looks_like_model
+from gridpush_drake.identification.model_file import MODEL_FILE, looks_like_model
 from gridpush_drake.identification.prediction import (
     Prediction,
     calc_cell_errors,
@@ -24,9 +24,6 @@ from gridpush_drake.identification.prediction import (
 from gridpush_drake.objects.object_file import OBJECT_FILE, speak_name
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.units import MM_PER_M
-
-MODEL_BESIDE = "model.yaml"
-"""Name of the model that is looked for beside a push log; `gridpush demo` writes it there."""
 
 
 class ViewError(GridPushError):
@@ -59,13 +56,13 @@ def find_target(
         raise ViewError(
             f"--model: {model_file} is not a model; expected a file that `gridpush identify` wrote"
         )
-    beside = (log.parent / MODEL_BESIDE, log.parent / OBJECT_FILE)
+    beside = (log.parent / MODEL_FILE, log.parent / OBJECT_FILE)
     chosen = model_file or object_file or next((path for path in beside if is_file(path)), None)
     if not exists(log):
         raise ViewError(f"{log}: there is no such file")
     if chosen is None:
         raise ViewError(
-            f"{log}: its object is unknown; expected --object, --model, or {MODEL_BESIDE} or "
+            f"{log}: its object is unknown; expected --object, --model, or {MODEL_FILE} or "
             f"{OBJECT_FILE} beside it"
         )
     return options.load_target(str(chosen), largest_piece)

@@ -195,8 +195,7 @@ def calc_center_prior(found: Identification) -> tuple[Array, Array]:
         covariance = covariance + s**2 / max(float(np.trace(M)), np.finfo(float).tiny) * M @ M
     else:
         center, covariance = calc_center_of_mass(found)
-    ridge = WHOLE_OBJECT * obj.radius_of_gyration**2
-    return center, covariance + ridge * np.eye(2)
+    return center, covariance + _make_ridge(obj)
 
 
 def _expect_center(found: Identification) -> tuple[Array, Array] | None:
@@ -211,8 +210,12 @@ def _expect_center(found: Identification) -> tuple[Array, Array] | None:
     if obj.prior.center_of_mass is not None:
         return None
     arm = obj.p_BC - obj.p_BC.mean(axis=0)
-    spread = arm.T @ arm / obj.n
-    return obj.p_BC.mean(axis=0), spread + WHOLE_OBJECT * obj.radius_of_gyration**2 * np.eye(2)
+    return obj.p_BC.mean(axis=0), arm.T @ arm / obj.n + _make_ridge(obj)
+
+
+def _make_ridge(obj: GridObject) -> Array:
+    """The ridge (2, 2), m², on a covariance of the center of mass; see WHOLE_OBJECT."""
+    return np.asarray(WHOLE_OBJECT * obj.radius_of_gyration**2 * np.eye(2))
 
 
 def believe_before(found: Identification) -> AbsoluteEstimate:

@@ -34,6 +34,8 @@ from gridpush_drake.perception.detection.foreground import (
     Cues,
     Foreground,
     calc_contradiction,
+    dilate,
+    erode,
     find_foreground,
     keep_largest,
     refine_boundary,
@@ -61,6 +63,12 @@ from gridpush_drake.perception.images.table_view import PAINTED_DEPTH, look_at_t
 BORDER_WIDTH = 2
 """Width of the strip along the picture's border that the object must not touch, pixels: beyond it,
 some of the object may be out of view."""
+
+RIM_GAP = 2
+"""Distance in the picture, pixels, within which an object's rim is that of what hides it."""
+
+CUT_FRACTION = 0.1
+"""Fraction of an object's rim that may lie there, as where a finger's image reaches over it."""
 
 MIN_PIECE_SCORE = 3.0
 """A further piece of the foreground counts as an object if its median score is at least this; with
@@ -476,3 +484,15 @@ def list_pieces(seen: Photograph, options: DetectorOptions) -> list[Mask]:
 def is_in_view(mask: Mask) -> bool:
     """Says whether a mask (height, width) keeps clear of the picture's border."""
     return bool(mask[BORDER_WIDTH:-BORDER_WIDTH, BORDER_WIDTH:-BORDER_WIDTH].sum() == mask.sum())
+
+
+def is_cut_off(mask: Mask, hidden: Mask) -> bool:
+    """Says whether the rim of an object ends at what hides it.
+
+    Args:
+        mask: (height, width) bool, the object's pixels.
+        hidden: (height, width) bool, pixels that show the robot.
+    """
+    rim = mask & ~erode(mask, 3)
+    beside = rim & dilate(hidden, 2 * RIM_GAP + 1)
+    return bool(beside.sum() > CUT_FRACTION * rim.sum())

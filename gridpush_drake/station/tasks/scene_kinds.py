@@ -8,6 +8,7 @@ import numpy as np
 from gridpush_drake.display.overlay import Mark, to_css
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, transform
+from gridpush_drake.identification.model_file import MODEL_FILE
 from gridpush_drake.identification.multi_object.joint_result import JointIdentification
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import count
@@ -29,7 +30,7 @@ from gridpush_drake.station.tasks.scene_task import (
     name_objects,
 )
 from gridpush_drake.station.tasks.task import TaskStatus
-from gridpush_drake.station.tasks.task_kind import MODEL_FILE, REPORT_FILE, GoalKind
+from gridpush_drake.station.tasks.task_kind import REPORT_FILE, GoalKind
 from gridpush_drake.units import MM_PER_M
 
 LOOKING_PHASE = (

@@ -23,7 +23,7 @@ from gridpush_drake.display.overlay import (
 )
 from gridpush_drake.display.server import write_recording
 from gridpush_drake.files import write_whole
-from gridpush_drake.identification.model_file import write_model
+from gridpush_drake.identification.model_file import MODEL_FILE, write_model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.ground_truth import describe_truth
 from gridpush_drake.objects.grid_object import GridObject
@@ -59,13 +59,13 @@ FIRST_REASONS = (ContactPointStatus().reason, PreGraspStatus().reason)
 
 REPORT_FILE = "report.html"
 RECORDING_FILE = "recording.html"
-MODEL_FILE = "model.yaml"
 HELD_OUT = "held_out.csv"
 STREAM_FILE = "stream.csv"
 WEIGHINGS_FILE = "weighings.csv"
 TRUTH_FILE = "truth.yaml"
 SCENARIO_FILE = "scenario.yaml"
-"""Names of the files that a run leaves in its folder, beside OBJECT_FILE and PUSHES_FILE."""
+"""Names of the files that a run leaves in its folder, beside those of the object, the pushes and
+the model, which have their names elsewhere."""
 
 RUN_FILES = (
     REPORT_FILE,
