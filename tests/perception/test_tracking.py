@@ -414,6 +414,18 @@ def test_a_jump_of_an_object_that_nothing_touched_is_not_told_until_it_is_plainl
     assert tracker.track(doubted, late, covered, untouched=True)[1].seen
 
 
+def test_an_object_that_somebody_else_moved_is_told_at_once_though_something_covers_a_part_of_it():
+    moved = np.array([0.01, 0.05, np.radians(3.0)])
+    tracker = PoseTracker(HALF_PLATE, HEIGHT, make_camera())
+    frame = look(HALF_PLATE, np.zeros(3), depth=False)
+    state, _ = tracker.track(tracker.start(frame, np.zeros(3)), frame, untouched=True)
+    after = look(HALF_PLATE, moved, seed=1, t=0.1, depth=False)
+    covered = np.zeros(after.color.shape[:2], dtype=bool)
+    covered[:, 380:420] = True
+    _, told = tracker.track(state, after, covered, untouched=True)
+    np.testing.assert_allclose(told.pose, moved, atol=1e-3)
+
+
 def test_an_object_that_was_hidden_is_not_compared_with_what_hardly_showed_it():
     moved = np.array([0.01, 0.012, 0.05])
     tracker = PoseTracker(HALF_PLATE, HEIGHT, make_camera())

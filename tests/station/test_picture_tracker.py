@@ -155,7 +155,8 @@ def test_several_objects_are_found_by_their_outlines_and_each_pose_is_said(scene
     assert bench.tracker.names == ("pliers", "open_book")
     assert bench.tracker.report.seen == bench.tracker.report.pictures > 0
     for port, true in zip(("object.pose", "other_0.pose"), read_true_poses(bench), strict=True):
-        np.testing.assert_allclose(bench.task.read(port), true, atol=0.002)
+        off = bench.task.read(port) - true
+        assert np.linalg.norm(off[:2]) < 1e-3 and abs(off[2]) < np.radians(0.3), off
     assert push is not None
 
 

@@ -124,6 +124,10 @@ class OutlineFinder:
         """Calculates how much is covered of what a fit saw; see `Registration.calc_lost`."""
         return self._registration.calc_lost(view, before, pose)
 
+    def has_left(self, view: View, before: Fit) -> bool:
+        """Says whether the object is not where it was; see `Registration.has_left`."""
+        return self._registration.has_left(view, before)
+
     def has_jumped(self, view: View, before: Fit, pose: Array) -> bool:
         """Says whether a pose (3,) is far from a fit; see `Registration.has_jumped`."""
         return self._registration.has_jumped(view, before, pose)

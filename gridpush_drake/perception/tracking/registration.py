@@ -52,6 +52,7 @@ from gridpush_drake.perception.images.frames import Mask
 from gridpush_drake.perception.images.pixel_kernels import (
     EDGE_COVERAGE,
     EDGE_COVERED,
+    EDGE_MISSING,
     Across,
     Points,
     find_edges,
@@ -152,6 +153,10 @@ with the object for the motion to count."""
 
 MIN_EDGES = 20
 """Least number of edges by whose change a motion is measured."""
+
+GONE_EDGES = 0.5
+"""An object has left where it was if this fraction of the edges that were seen there, and that
+nothing covers now, is missing."""
 
 
 class View(NamedTuple):
@@ -322,6 +327,17 @@ class Registration:
         edges = self._expect(before.boundary, pose, view.corner)
         covered = sample_image(view.covered, edges.pixels[seen]) > EDGE_COVERAGE
         return float(covered.mean()) if seen.any() else 0.0
+
+    def has_left(self, view: View, before: Fit) -> bool:
+        """Says whether the picture plainly shows that an object is not where it was registered."""
+        edges = self._expect(before.boundary, before.pose, view.corner)
+        reach, step = CHANGE_SEARCH.reach, CHANGE_SEARCH.step
+        _, state = measure_edges(
+            view.coverage, view.covered, edges.pixels, edges.normals, reach, step
+        )
+        in_view = np.isfinite(before.offsets) & (state != EDGE_COVERED)
+        gone = in_view & (state == EDGE_MISSING)
+        return bool(in_view.sum() >= MIN_EDGES and gone.sum() > GONE_EDGES * in_view.sum())
 
     def has_jumped(self, view: View, before: Fit, pose: Array) -> bool:
         """Says whether a pose (3,) is farther from a registration than edges are compared."""
@@ -577,8 +593,8 @@ def measure_edges(
         step: distance between two samples, pixels.
 
     Returns:
-        (n,) how far outward the nearest edge is, pixels, NaN where there is none; and (n,) FOUND,
-        MISSING or EDGE_COVERED.
+        (n,) how far outward the nearest edge is, pixels, NaN where there is none; and (n,)
+        EDGE_FOUND, EDGE_MISSING or EDGE_COVERED.
     """
     offsets = np.empty(len(pixels))
     state = np.empty(len(pixels), dtype=np.int64)

@@ -7,7 +7,8 @@ between the two (`registration`). Several objects in one picture are followed by
 
 While the arm covers more of the object than before, its pose is corrected by how the edges left in
 view changed since. If they do not show a small motion, and nothing touched the object meanwhile,
-its pose is not told: the object did not jump, but the view of it is poor.
+its pose is not told: the object did not jump, but the view of it is poor. An object that plainly is
+no longer where it was, because somebody else moved it, is told at once.
 
 The object's outline and height must be known: `detection` finds them in one photograph. The theory
 is in docs/theory/perception.md, section 3.
@@ -404,7 +405,9 @@ class PoseTracker:
         is_better = fit.dilution <= clear.dilution
         if state.touched or is_better or state.t - state.last_published_time > AMBIGUITY_TIME:
             return fit
-        # What nothing touched is at rest. A jump of it is not believed.
+        # What nothing touched is at rest. A jump of it is believed only where it plainly left.
+        if self._finder.has_left(view, clear):
+            return fit
         if self._finder.has_jumped(view, clear, fit.pose):
             return None
         return fit._replace(pose=clear.pose, covariance=clear.covariance)
