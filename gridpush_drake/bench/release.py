@@ -23,7 +23,7 @@ from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -86,13 +86,18 @@ class ReleaseRow:
             each.name: each.metadata.get("name") or f"--{each.name.replace('_', '-')}"
             for each in fields(study.options)
         }
+        kinds = get_type_hints(study.options)
         words = ["gridpush bench", study.name]
         for name, value in self.settings.items():
             if value is True:
                 words.append(flags[name])
                 continue
-            for each in value if isinstance(value, tuple) else (value,):
-                words.append(f"{flags[name]} {each}")
+            values = value if isinstance(value, tuple) else (value,)
+            # An option of any number of values is repeated; others have all of theirs behind them.
+            if "..." in str(kinds[name]):
+                words += [f"{flags[name]} {each}" for each in values]
+            else:
+                words.append(" ".join([flags[name], *map(str, values)]))
         return " ".join(words)
 
 
@@ -132,6 +137,17 @@ ROWS: dict[str, ReleaseRow] = {
             "seed": 4000,
             "unknown_inertia": True,
             "camera": "rgbd",
+        },
+    ),
+    "sliding": ReleaseRow(
+        f"{PACKAGE}.bench.pregrasp.experiments:STUDY",
+        {
+            "truths": ("foundation", "three_feet"),
+            "friction": (0.2, 0.6),
+            "max_arm": 0.1,
+            "mass_sets": 8,
+            "seeds": 1,
+            "seed": 9000,
         },
     ),
     "scene_tasks": ReleaseRow(

@@ -132,7 +132,7 @@ FRACTION_COLUMNS: dict[str, Column] = {
 def tabulate_fractions(
     scores: Sequence[SlideScore], by: str, keys: Sequence[str], notes: Sequence[str]
 ) -> Table:
-    """Tabulates successes and drops with their intervals.
+    """Tabulates successes and drops with their intervals, and says why other runs ended.
 
     Args:
         scores: how the runs ended.
@@ -147,6 +147,11 @@ def tabulate_fractions(
         "fell, or tilts by 10°; in brackets 95 % Wilson intervals. The other runs were given up, "
         "the object on the table.",
         "to spare: stability margin at the worst where it was reached.",
+        *(
+            f"{each.name}, {each.method}: {each.outcome.reason}"
+            for each in scores
+            if not each.outcome.grasped
+        ),
     )
     return Table.of(f"Pre-grasp sliding by {by}", (by,), groups, FRACTION_COLUMNS, notes)
 
