@@ -490,7 +490,8 @@ class SimulatedWorld(TrackedWorld):
         """
         fell = np.zeros(len(self.bodies), dtype=bool)
         moving = np.flatnonzero((poses[-1] != poses[0]).any(axis=1))
-        if self.surface is None or len(moving) != 1:
+        # Under another shape than a disc no loads shift.
+        if self.surface is None or len(moving) != 1 or push.shape is not None:
             return fell
         b = int(moving[0])
         ends = (poses[0, b], poses[-1, b])

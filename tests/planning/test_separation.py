@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from shapely import Point
 
 from gridpush_drake.dynamics.bodies import Bodies
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.scene.loop import SceneAction
-from gridpush_drake.planning.scene.rules import SceneRules
+from gridpush_drake.planning.scene.rules import SceneRules, place_outlines
 from gridpush_drake.planning.scene.separation import (
     SeparatePlanner,
     SeparationOptions,
@@ -19,7 +21,7 @@ from gridpush_drake.planning.scene.separation import (
 )
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import SimulatedWorld
-from tests.helpers.scene_cases import make_row, run_task
+from tests.helpers.scene_cases import PLATE, make_row, run_task
 from tests.helpers.shapes import SHAPES
 
 SEARCH = SeparationOptions().search
@@ -38,6 +40,27 @@ def test_objects_are_separated(seed):
     assert first.state.done
     assert calc_clearances(truth.objects, worlds[0].truth.pose).min() >= options.margin
     np.testing.assert_array_equal(again.state.poses, first.state.poses)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_objects_are_separated_by_a_plate_that_comes_down_beside_them(seed):
+    shapes = np.random.default_rng(seed).permutation(list(SHAPES))[:3]
+    truth, _ = make_row(seed, shapes, cells=20)
+    pusher = Pusher(speed=0.05, shape=PLATE)
+    options = SeparationOptions(search=replace(SEARCH, candidates=25, pusher=pusher))
+    planner = SeparatePlanner(truth.objects, options, seed=seed)
+    world = SimulatedWorld(*truth)
+    run = run_task(world, planner, Belief.of_parameters(Bodies(truth.objects)))
+    assert run.state.done and len(run.log) > 0
+    assert calc_clearances(truth.objects, world.truth.pose).min() >= options.margin
+    for made in run.log:
+        assert made.push.shape is PLATE
+        # It looks where it goes, and comes down where nothing lies.
+        direction = np.array([np.cos(made.push.yaw[0]), np.sin(made.push.yaw[0])])
+        speed = np.linalg.norm(made.push.velocity)
+        np.testing.assert_allclose(made.push.velocity, speed * direction, atol=1e-12)
+        outlines = place_outlines(truth.objects, made.pose)
+        assert shapely.distance(made.push.find_area(0.0), outlines).min() > 0.0
 
 
 def test_nothing_is_done_where_there_is_room():
@@ -60,6 +83,10 @@ def test_what_is_refused():
     decision = planner.decide(truth.poses, Belief.of_parameters(truth.bodies), [])
     assert decision.action is SceneAction.FAIL
     assert "square, bar: no place was found where a finger of 8 mm fits" in decision.reason
+    search = replace(SEARCH, candidates=4, pusher=Pusher(shape=PLATE))
+    planner = SeparatePlanner(truth.objects, SeparationOptions(search=search), far)
+    reason = planner.decide(truth.poses, Belief.of_parameters(truth.bodies), []).reason
+    assert "a pusher that reaches 32.9 mm fits beside it" in reason
 
 
 def test_a_push_apart_is_planned_by_itself():

@@ -170,8 +170,8 @@ def test_a_gripper_that_does_not_say_where_its_tip_is_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("task", "fields", "says"),
     [
-        ("follow", {}, "pusher is gripper, which is for tasks of straight pushes of one object"),
-        ("separate", {}, "pusher is gripper"),
+        ("follow", {}, "pusher is gripper, which is for straight pushes away from the table"),
+        ("fetch", {}, "pusher is gripper"),
         ("push", {"unknown_inertia": True}, "and unknown_inertia is true"),
     ],
 )
@@ -194,3 +194,18 @@ def test_a_twin_is_poked_and_learned_from_with_its_gripper():
     assert record.log[0].push.shape is bench.task.station.robot.shape
     assert np.abs(record.log[0].push.yaw).min() > 0.1
     assert record.limit_report.ok
+
+
+@pytest.mark.slow
+def test_several_objects_are_brought_to_goals_with_a_gripper():
+    """It comes down beside them with all of its shape, and they are learned by that."""
+    scenario = read_scenario("rearrange")
+    scenario.directives = make_robot_directives("panda", grasping=False, pusher="gripper")
+    scenario.pusher = "gripper"
+    task = TASK_KINDS["rearrange"].station(scenario)
+    record = task.run()
+    assert record.status == "reached", record.message
+    shape = task.station.robot.shape
+    assert len(record.scene_log) > 0
+    for made in record.scene_log:
+        assert made.push.shape is shape and np.ptp(made.push.yaw) < 0.1

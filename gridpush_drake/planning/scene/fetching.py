@@ -279,11 +279,7 @@ class FetchPlanner:
         if found is None:
             return SceneDecision(
                 SceneAction.FAIL,
-                describe_no_room(
-                    self.objects,
-                    bodies,
-                    self.options.search.pusher.choose_radius(self.objects),
-                ),
+                describe_no_room(self.objects, bodies, self.options.search.pusher),
             )
         return SceneDecision(
             SceneAction.PUSH,

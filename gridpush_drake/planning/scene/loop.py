@@ -13,6 +13,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.bodies import describe_object
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.identification.fit.hypotheses import LoadHypothesis, SmoothField
@@ -188,19 +189,17 @@ def straighten(poses: Array, before: Sequence[Array]) -> Array:
     return straight
 
 
-def describe_no_room(objects: Sequence[GridObject], bodies: Sequence[int], radius: float) -> str:
-    """Says that the finger fits nowhere beside some objects, and between which others they lie.
+def describe_no_room(objects: Sequence[GridObject], bodies: Sequence[int], pusher: Pusher) -> str:
+    """Says that a pusher fits nowhere beside some objects, and between which others they lie.
 
     Args:
         objects: the objects.
         bodies: numbers of those that should be pushed.
-        radius: of the finger, m.
+        pusher: what pushes.
     """
+    size = f"{pusher.choose_reach(objects) * MM_PER_M:.3g} mm"
+    what = f"a finger of {size}" if pusher.shape is None else f"a pusher that reaches {size}"
     names = ", ".join(describe_object(objects, b) for b in bodies)
     others = ", ".join(describe_object(objects, b) for b in range(len(objects)) if b not in bodies)
     between = f", between {others}" if others else ""
-    return (
-        f"{names}: no place was found where a finger of {radius * MM_PER_M:g} mm fits beside it "
-        "and can "
-        f"push it{between}"
-    )
+    return f"{names}: no place was found where {what} fits beside it and can push it{between}"

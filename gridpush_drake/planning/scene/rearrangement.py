@@ -237,8 +237,8 @@ class RearrangePlanner:
                 poses, lambda some: self.calc_cost(some, targets), range(len(poses)), rng
             )
         if found is None:
-            radius = search.options.pusher.choose_radius(self.objects)
-            return SceneDecision(SceneAction.FAIL, describe_no_room(self.objects, bodies, radius))
+            reason = describe_no_room(self.objects, bodies, search.options.pusher)
+            return SceneDecision(SceneAction.FAIL, reason)
         left = len(poses) - int(reached.sum())
         name = describe_object(self.objects, found.body)
         active = "aside" if targets.is_buffered[found.body] else "towards its goal"

@@ -2,6 +2,7 @@
 
 No push brings an object near the table's edge or against a post, or begins where the finger does
 not fit. Contact with other objects is not forbidden: where all of them end is weighed in `search`.
+A pusher that is no disc begins where the area that it covers is free.
 The theory is in `docs/theory/planning.md`, section 6.
 """
 
@@ -53,7 +54,8 @@ class SceneRules:
             are.
         leeway: by how much nearer to the edge an object may come by a further model, m.
         finger_overhang: how far beyond the edge the finger's center may be, m.
-        finger_region: where the finger's center may be, W; None for anywhere.
+        finger_region: where the finger's center may be, or the origin of another pusher's shape, W;
+            None for anywhere.
         posts: what is fixed on the table, polygons in W, m: every object stays `POST_MARGIN` away
             from it, or no nearer than it is. The finger keeps clear of it by `finger_region`.
         push_rule: asked last, of a push that is about to be chosen: whether a robot can carry it
@@ -138,31 +140,27 @@ class SceneRoom:
                 distances[:, b] = shapely.distance(placed, self._posts)
         return distances
 
-    def fits_finger(self, poses: Array, starts: Array, radius: float) -> NDArray[np.bool_]:
-        """Says where the finger can come down.
+    def fits_pusher(self, poses: Array, pushes: Sequence[Push]) -> NDArray[np.bool_]:
+        """Says which of K pushes can begin where they do, where the pusher comes down, (K,).
 
         Args:
             poses: (N, 3) where the objects lie, m and rad.
-            starts: (K, 2) places of the finger's center, m.
-            radius: of the finger, m.
-
-        Returns:
-            (K,).
+            pushes: the pushes, by one pusher.
         """
-        room = radius + START_CLEARANCE
-        fits = np.ones(len(starts), dtype=bool)
-        points = shapely.points(starts)
+        if not pushes:
+            return np.ones(0, dtype=bool)
+        starts = np.array([push.start for push in pushes])
+        # A disc covers all within its radius of its center; another shape, its area.
+        covered, room = shapely.points(starts), pushes[0].radius + START_CLEARANCE
+        if pushes[0].shape is not None:
+            covered, room = np.array([push.find_area(0.0) for push in pushes]), START_CLEARANCE
+        fits = self.allows_finger(starts)
         for pose, obj in zip(poses, self.objects, strict=True):
-            outline = transform_shape(pose, obj.outline)
-            fits &= shapely.distance(outline, points) > room
-        if self.rules.finger_region is not None:
-            fits &= shapely.contains_xy(self.rules.finger_region, starts[:, 0], starts[:, 1])
-        if self.rules.surface is not None:
-            fits &= self.rules.surface.contains(starts, -self.rules.finger_overhang)
+            fits &= shapely.distance(transform_shape(pose, obj.outline), covered) > room
         return fits
 
     def allows_finger(self, tips: Array) -> NDArray[np.bool_]:
-        """Says where the finger may be, of places (K, 2) along a push."""
+        """Says where the finger's center, or the origin of a shape, may be, of places (K, 2)."""
         allowed = np.ones(len(tips), dtype=bool)
         if self.rules.finger_region is not None:
             allowed &= shapely.contains_xy(self.rules.finger_region, tips[:, 0], tips[:, 1])

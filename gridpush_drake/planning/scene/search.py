@@ -260,15 +260,13 @@ class SceneSearch:
                 angle,
                 reach + options.pusher.clearance,
                 radius=radius,
+                shape=options.pusher.shape,
                 speed=options.pusher.speed,
                 pose=poses[body],
                 clearance=options.pusher.clearance,
             )
             made.append((body, place, angle, push))
-        if not made:
-            return []
-        starts = np.array([each[3].start for each in made])
-        fits = self.room.fits_finger(poses, starts, radius)
+        fits = self.room.fits_pusher(poses, [each[3] for each in made])
         return [each for each, fit in zip(made, fits.tolist(), strict=True) if fit]
 
     def _cut(

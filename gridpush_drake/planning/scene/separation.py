@@ -121,8 +121,8 @@ class SeparatePlanner:
             return SceneDecision(SceneAction.DONE, f"every object has {room} around it")
         found = self._find_push(poses, belief, lacking, (self._seed, len(steps)))
         if found is None:
-            radius = self.options.search.pusher.choose_radius(self.objects)
-            return SceneDecision(SceneAction.FAIL, describe_no_room(self.objects, lacking, radius))
+            reason = describe_no_room(self.objects, lacking, self.options.search.pusher)
+            return SceneDecision(SceneAction.FAIL, reason)
         name = describe_object(self.objects, found.body)
         return SceneDecision(
             SceneAction.PUSH,

@@ -13,7 +13,6 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.display.shapes import AddGhost, MakePlanarTransform
-from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
@@ -262,13 +261,13 @@ class SceneTask(StationTask[SceneTaskRecord]):
         )
 
     def make_search(self) -> SceneSearchOptions:
-        """Makes the options of the search for pushes from the robot's finger and the scenario."""
+        """Makes the options of the search for pushes from the robot's pusher and the scenario."""
         return SceneSearchOptions(
             lengths=(0.005, MAX_PUSH),
-            pusher=Pusher(
-                self.station.robot.finger.tip_radius,
-                self.station.scenario.pokes.speed,
-                APPROACH_CLEARANCE,
+            pusher=replace(
+                self.station.robot.pusher,
+                speed=self.station.scenario.pokes.speed,
+                clearance=APPROACH_CLEARANCE,
             ),
             workers=cpu_count() or 1,
         )
@@ -376,6 +375,8 @@ class SceneTask(StationTask[SceneTaskRecord]):
 class SeparateTask(SceneTask):
     """The station with a controller that pushes objects apart."""
 
+    takes_gripper = True
+
     def make_planner(self) -> SeparatePlanner:
         """Makes the planner; pushes begin where the robot's finger fits."""
         search = replace(self.make_search(), candidates=24, firsts=2, seconds=6, compared=3)
@@ -399,6 +400,7 @@ class RearrangeTask(SceneTask):
     """The station with a controller that pushes objects to goals, and learns them on the way."""
 
     has_goals = True
+    takes_gripper = True
 
     def make_planner(self) -> RearrangePlanner:
         """Makes the planner, towards the scenario's goals."""

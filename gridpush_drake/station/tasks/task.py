@@ -385,8 +385,9 @@ class StationTask(Generic[RecordType]):
             return []
         if not cls.takes_gripper:
             return [
-                "pusher is gripper, which is for tasks of straight pushes of one object, identify "
-                "and push; expected pusher: finger, and a scene with a finger"
+                "pusher is gripper, which is for straight pushes away from the table's edge, in "
+                "the tasks identify, push, separate and rearrange; expected pusher: finger, and a "
+                "scene with a finger"
             ]
         if resolved.scenario.unknown_inertia:
             return [
