@@ -213,7 +213,10 @@ def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
             ["--task", "push", "--robot", "gantry", "--pusher", "gripper"],
             ["gantry has no gripper", "`scenes: {gripper: FILE}`", "or pusher: finger"],
         ),
-        (["--robot", "panda", "--pusher", "gripper"], ["pusher is gripper", "identify and push"]),
+        (
+            ["--robot", "panda", "--pusher", "gripper"],
+            ["pusher is gripper", "identify, push, separate and rearrange"],
+        ),
         (["--pusher", "gripper"], ["--pusher gripper: expected --robot NAME beside it"]),
     ],
 )

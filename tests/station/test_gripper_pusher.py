@@ -40,9 +40,9 @@ DISTANCE = 0.08
 CLEARANCE = 0.008
 
 
-def make_scenario(robot="panda", **fields):
-    directives = make_robot_directives(robot, grasping=False, pusher="gripper")
-    return PushScenario(pusher="gripper", directives=directives, **fields)
+def make_scenario(robot="panda", pusher="gripper", **fields):
+    directives = make_robot_directives(robot, grasping=False, pusher=pusher)
+    return PushScenario(pusher=pusher, directives=directives, **fields)
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +73,52 @@ def test_a_lower_object_is_touched_by_the_fingers_ends_alone():
     """The Panda's fingers are wider from 27 mm above the table on."""
     low = resolve(make_scenario(object_height=0.02)).robot.shape.area.bounds
     np.testing.assert_allclose(low, (-0.0105, -0.021, 0.0105, 0.021), atol=1e-6)
+
+
+@pytest.mark.parametrize("robot", SIZES)
+@pytest.mark.parametrize("opening", [None, 0.03])
+def test_two_fingertips_are_as_far_apart_as_asked_and_discs_fill_their_rims(robot, opening):
+    resolved = resolve(make_scenario(robot, "fingertips", finger={"opening": opening}))
+    thick, wide = SIZES[robot]  # half as wide is each finger
+    apart = opening or {"panda": 0.04}.get(robot, 0.05)
+    right = shapely.box(-thick / 2, -(apart + wide) / 2, thick / 2, -apart / 2)
+    both = shapely.union(right, shapely.transform(right, lambda xy: -xy))
+    shape = resolved.robot.shape
+    assert resolved.robot.opening == apart and not shape.joined
+    # All that the discs cover is finger, up to their being polygons, and what they leave is small.
+    assert both.buffer(1e-6).covers(shape.area)
+    hull = shapely.union_all([part.convex_hull for part in shape.area.geoms])
+    corners = shapely.get_coordinates(both)
+    assert max(hull.distance(shapely.Point(each)) for each in corners) < 2e-3
+    # A corner of an object comes in between two discs by half a millimeter at most.
+    rims = shapely.union_all([part.exterior for part in shape.area.geoms])
+    front = shapely.Point(shape.core[np.argmax(shape.core @ [1.0, 0.5])] + [shape.radius, -0.003])
+    assert front.distance(rims) < 5e-4
+
+
+@pytest.mark.parametrize(
+    ("pusher", "opening", "says"),
+    [
+        ("fingertips", 0.081, r"finger\.opening is 0\.081; expected at most 0\.08"),
+        ("gripper", 0.03, r"finger\.opening is 0\.03, and pusher gripper; expected pusher: fing"),
+        ("fingertips", -0.01, r"finger\.opening is -0\.01; expected a positive number, in m"),
+    ],
+)
+def test_an_opening_that_cannot_be_is_refused(pusher, opening, says):
+    with pytest.raises(ScenarioError, match=says):
+        resolve(make_scenario("panda", pusher, finger={"opening": opening}))
+
+
+def test_the_simulated_fingers_stay_where_they_are_held():
+    station = MakePushStation(make_scenario("ur5e", "fingertips"), learning=Learning(max_pushes=0))
+    context = station.CreateDefaultContext()
+    station.SetStart(context)
+    station.GetInputPort("push_command").FixValue(context, PushCommand().to_vector())
+    Simulator(station, context).AdvanceTo(0.2)
+    plant = station.plant
+    fingers = plant.GetModelInstanceByName(station.robot.finger_model)
+    q = plant.GetPositions(plant.GetMyContextFromRoot(context), fingers)
+    np.testing.assert_array_equal(np.abs(q), station.robot.opening / 2)
 
 
 def test_a_push_by_the_plant_is_led_logged_and_as_simulated(station):
@@ -194,6 +240,15 @@ def test_a_twin_is_poked_and_learned_from_with_its_gripper():
     assert record.log[0].push.shape is bench.task.station.robot.shape
     assert np.abs(record.log[0].push.yaw).min() > 0.1
     assert record.limit_report.ok
+
+
+@pytest.mark.slow
+def test_an_object_is_pushed_to_its_goal_with_two_fingertips():
+    scenario = make_scenario("panda", "fingertips", seed=2)
+    task = TASK_KINDS["push"].station(scenario)
+    record = task.run()
+    assert record.status == "reached", record.message
+    assert all(made.push.shape is task.station.robot.shape for made in record.log)
 
 
 @pytest.mark.slow

@@ -105,11 +105,11 @@ RobotScene = Annotated[
 """`--robot`, in commands that simulate; see `make_robot_directives`."""
 
 PusherOption = Annotated[
-    Literal["finger", "gripper"] | None,
+    Literal["finger", "gripper", "fingertips"] | None,
     typer.Option(
         "--pusher",
-        help="What the robot pushes with: the round tip of a finger, or its closed gripper, which "
-        "then points down; gripper goes with --robot.",
+        help="What the robot pushes with: the round tip of a finger; its closed gripper, which "
+        "then points down; or both fingertips of the open one. The last two go with --robot.",
         show_default="the scenario's, finger",
     ),
 ]

@@ -37,7 +37,7 @@ from gridpush_drake.perception.tracking.tracking import (
 from gridpush_drake.station.links.channel import Channel, count_reason
 from gridpush_drake.station.links.link import SKIPPED, Link, LinkMessage, Unusable
 from gridpush_drake.station.links.record_forms import find_frame_fault
-from gridpush_drake.station.robot.robot import GetRobotInPlant
+from gridpush_drake.station.robot.robot import GetRobotInPlant, SetGripperOpening
 from gridpush_drake.station.scene.camera import LIVE_TRACKER, AddRgbdCamera
 from gridpush_drake.station.scene.contents import AddScene
 from gridpush_drake.station.scene.other_objects import list_others
@@ -77,6 +77,7 @@ class RobotSilhouette:
         self.plant, scene_graph = AddPlantAndSceneGraph(builder, scenario.simulation.time_step)
         AddScene(MakeParser(self.plant, resolved.robot.packages), scenario)
         self.plant.Finalize()
+        SetGripperOpening(self.plant, resolved.robot)
         self.table_top = resolved.table_top
         rgbd = AddRgbdCamera(builder, self.plant, scene_graph, scenario, [])
         self.camera = rgbd.camera

@@ -1,8 +1,10 @@
-"""`MeasureGripperTip`: what of a closed gripper touches an object that it pushes.
+"""`MeasureGripperTip`: what of a gripper touches an object that it pushes.
 
 The gripper points down. Of its collision geometry that counts which is no higher above the table
-than the object; the pusher is the convex hull of it, seen from above. So the model of the gripper
-says how wide it is, and no file has to say it again.
+than the object. Of a closed gripper the pusher is the convex hull of it, seen from above. Two
+fingers that are apart have a hull each, along whose rim stand discs so close together that a corner
+of an object comes in between them by less than a millimeter. So the model of the gripper says how
+wide it is, and no file has to say it again.
 """
 
 from collections.abc import Sequence
@@ -33,6 +35,9 @@ HALF_TURN = 180.0
 SYMMETRY_TOLERANCE = 0.01
 """Fraction of its area by which the hull may change in half a turn."""
 
+DISCS_ACROSS = 6.0
+"""How many times as wide as the radius of its discs a finger is at least."""
+
 
 def MeasureGripperTip(
     plant: MultibodyPlant,
@@ -41,7 +46,7 @@ def MeasureGripperTip(
     push_height: float,
     top: float,
 ) -> GripperTip:
-    """Measures the ends of the closed gripper with which a robot pushes.
+    """Measures the ends of the gripper with which a robot pushes.
 
     Args:
         plant: a finalised plant with the robot's scene.
@@ -55,12 +60,12 @@ def MeasureGripperTip(
 
     Raises:
         ScenarioError: a collision geometry is neither a box nor a sphere, none is as low as the
-            object, or the fingers do not look the same after half a turn.
+            object, the fingers do not look the same after half a turn, or two fingertips that
+            should push are not apart.
     """
     model = robot.finger_model
     gripper = plant.GetModelInstanceByName(model)
-    context = plant.CreateDefaultContext()
-    plant.SetPositions(context, gripper, np.zeros(plant.num_positions(gripper)))  # closed
+    context = plant.CreateDefaultContext()  # in which the fingers are as far apart as they should
     tip = plant.GetFrameByName(robot.finger.tip_frame, gripper)
     touching: list[BaseGeometry] = []
     depth = 0.0
@@ -85,10 +90,11 @@ def MeasureGripperTip(
                 touching.append(shapely.MultiPoint(seen).convex_hull.buffer(margin))
     if not touching:
         raise ScenarioError(
-            f"pusher is gripper, but no collision geometry of {model} is as low as the object's "
+            f"pusher is a gripper, but no collision geometry of {model} is as low as the object's "
             f"top, {top:g} m; expected a lower finger.push_height"
         )
-    return GripperTip(_make_shape(touching, model), depth)
+    make_shape = _make_hull if robot.opening == 0.0 else _make_fingertips
+    return GripperTip(make_shape(touching, model), depth)
 
 
 def _list_corners(shape: Box | Sphere, X_PG: RigidTransform) -> tuple[Array, float]:
@@ -100,18 +106,54 @@ def _list_corners(shape: Box | Sphere, X_PG: RigidTransform) -> tuple[Array, flo
     return np.asarray(X_PG @ (half[:, None] * signs)).T, 0.0
 
 
-def _make_shape(touching: Sequence[BaseGeometry], model: str) -> PusherShape:
+def _make_hull(touching: Sequence[BaseGeometry], model: str) -> PusherShape:
     """Makes the hull of what touches, in the pusher's frame, which is the same after half a turn.
 
     Raises:
         ScenarioError: it is not.
     """
     hull = shapely.union_all(list(touching)).convex_hull
-    turned = shapely.affinity.rotate(hull, HALF_TURN, origin=(0.0, 0.0))
-    if hull.symmetric_difference(turned).area > SYMMETRY_TOLERANCE * hull.area:
-        raise ScenarioError(
-            f"pusher is gripper, but the closed fingers of {model} look different after half a "
-            "turn; expected tip_frame of its gripper.yaml in their middle"
-        )
-    outline = orient((hull | turned).convex_hull.simplify(HULL_DETAIL))
+    _check_symmetry(hull, _turn(hull), model)
+    outline = orient((hull | _turn(hull)).convex_hull.simplify(HULL_DETAIL))
     return PusherShape.polygon(shapely.get_coordinates(outline)[:-1], CORNER_RADIUS)
+
+
+def _make_fingertips(touching: Sequence[BaseGeometry], model: str) -> PusherShape:
+    """Makes discs along the rims of two fingers, in the pusher's frame, as `_make_hull` does.
+
+    Raises:
+        ScenarioError: they touch each other, or do not look the same after half a turn.
+    """
+    pieces = shapely.get_parts(shapely.union_all(list(touching)))
+    right, left = (
+        shapely.union_all([each for each in pieces if side * each.centroid.y > 0.0]).convex_hull
+        for side in (-1.0, 1.0)
+    )
+    if not right.distance(left) > 0.0:
+        raise ScenarioError(
+            f"pusher is fingertips, but the fingers of {model} are not apart as low as the object; "
+            "expected a larger finger.opening"
+        )
+    _check_symmetry(left, _turn(right), model)
+    # Discs inside one finger that touch its rim, each at most a radius from the next.
+    least = min(np.ptp(shapely.get_coordinates(left.minimum_rotated_rectangle), axis=0))
+    radius = float(least) / DISCS_ACROSS
+    rim = left.buffer(-radius, join_style="mitre").exterior
+    corners = shapely.get_coordinates(rim)[:-1]
+    more = shapely.get_coordinates(shapely.segmentize(rim, radius))[:-1]
+    centers = np.unique(np.round(np.concatenate([corners, more]), 7), axis=0)
+    return PusherShape.discs(np.concatenate([centers, -centers]), radius)
+
+
+def _turn(area: BaseGeometry) -> BaseGeometry:
+    """Turns an area by half a turn about the origin of the pusher's frame."""
+    return shapely.affinity.rotate(area, HALF_TURN, origin=(0.0, 0.0))
+
+
+def _check_symmetry(area: BaseGeometry, turned: BaseGeometry, model: str) -> None:
+    """Raises ScenarioError where an area is not what it is after half a turn."""
+    if area.symmetric_difference(turned).area > SYMMETRY_TOLERANCE * area.area:
+        raise ScenarioError(
+            f"pusher is a gripper, but the fingers of {model} look different after half a turn; "
+            "expected tip_frame of its gripper.yaml in their middle"
+        )

@@ -48,8 +48,8 @@ Driver = Literal["iiwa", "position"]
 """Kind of an arm's driver, see `ControlMeasures.driver`."""
 
 
-PusherKind = Literal["finger", "gripper"]
-"""What pushes: the round tip of a finger, or the closed gripper."""
+PusherKind = Literal["finger", "gripper", "fingertips"]
+"""What pushes: the round tip of a finger, the closed gripper, or both its fingers, held apart."""
 
 
 class _Measures(StrictSchema):
@@ -159,8 +159,8 @@ class SceneFiles(_Measures):
     Attributes:
         push: scene to push in.
         grasp: scene to push and grasp in; null if the robot has no gripper.
-        gripper: scene to push in with the closed gripper, which points down at the flange; null if
-            the robot has none.
+        gripper: scene to push in with the gripper, which points down at the flange; null if the
+            robot has none.
     """
 
     push: Name
@@ -231,8 +231,8 @@ class GripperMeasures(_Measures):
     Attributes:
         mount_frame: frame by which the gripper is carried.
         grasp_frame: frame in the middle between the pads.
-        tip_frame: frame by which the closed gripper is led where it pushes: in the middle of the
-            fingers' ends, with z along the fingers, and y along the way in which they close; null
+        tip_frame: frame by which the gripper is led where it pushes: in the middle of the fingers'
+            ends, with z along the fingers, and y along the way in which they close; null
             of a gripper that does not push.
         fingers: the bodies that may touch what is grasped.
         max_force: greatest force with which both fingers press together, N.

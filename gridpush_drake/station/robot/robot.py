@@ -54,11 +54,11 @@ SceneKind = Literal["push", "grasp", "gripper"]
 
 @dataclass(frozen=True, eq=False)
 class GripperTip:
-    """The ends of a closed gripper's fingers, with which it pushes.
+    """The ends of a gripper's fingers, with which it pushes.
 
     Attributes:
-        shape: the convex hull, seen from above, of all with which it touches objects. Its frame is
-            at the gripper's `tip_frame`.
+        shape: all with which it touches objects, seen from above: of a closed gripper its convex
+            hull, of two fingers that of each. Its frame is at the gripper's `tip_frame`.
         depth: how far the fingers reach below that frame, m.
     """
 
@@ -80,8 +80,9 @@ class Robot:
         directives: the scene's directives that add the arm and all that it carries, in the
             scene's order.
         packages: folders of packages by their names: the scenario's, and the robot.yaml's.
-        closed_gripper: measures of the gripper that pushes, closed, in place of a finger; None if a
-            finger pushes.
+        pushing_gripper: measures of the gripper that pushes in place of a finger; None if a finger
+            pushes.
+        opening: how far its fingers are apart while it pushes, m; 0 of a closed gripper.
         tip: what touches where a gripper pushes; None of a finger.
     """
 
@@ -93,7 +94,8 @@ class Robot:
     gripper_model: str
     directives: tuple[ModelDirective, ...]
     packages: Mapping[str, str]
-    closed_gripper: GripperMeasures | None = None
+    pushing_gripper: GripperMeasures | None = None
+    opening: float = 0.0
     tip: GripperTip | None = None
 
     @property
@@ -103,7 +105,7 @@ class Robot:
 
     @property
     def tip_depth(self) -> float:
-        """How far the finger or the closed gripper reaches below its tip's frame, m."""
+        """How far the finger or the gripper reaches below its tip's frame, m."""
         return self.finger.tip_radius if self.tip is None else self.tip.depth
 
     @property
@@ -151,14 +153,14 @@ def find_robot(
     arm_model, arm = _find_measures(folders, "robot.yaml", ArmMeasures)
     finger_model, finger = _find_measures(folders, "finger.yaml", FingerMeasures)
     gripper_model, gripper = _find_measures(folders, "gripper.yaml", GripperMeasures)
-    closed = None
-    if pusher == "gripper" and arm is not None:
+    pushing = None
+    if pusher != "finger" and arm is not None:
         if finger is not None:
             raise ScenarioError(
-                f"pusher is gripper, but the scene has a finger, {finger_model}; expected a scene "
+                f"pusher is {pusher}, but the scene has a finger, {finger_model}; expected a scene "
                 "whose robot has a gripper alone, such as a robot.yaml's `scenes.gripper`"
             )
-        finger_model, closed, finger = _take_gripper(gripper_model, gripper)
+        finger_model, pushing, finger = _take_gripper(gripper_model, gripper, pusher)
         gripper_model, gripper = "", None
     if arm is None or finger is None:
         missing = "robot" if arm is None else "finger"
@@ -181,12 +183,12 @@ def find_robot(
         gripper_model=gripper_model,
         directives=_list_carried(flat, arm_model),
         packages=packages,
-        closed_gripper=closed,
+        pushing_gripper=pushing,
     )
 
 
 def _take_gripper(
-    model: str, gripper: GripperMeasures | None
+    model: str, gripper: GripperMeasures | None, pusher: PusherKind
 ) -> tuple[str, GripperMeasures, FingerMeasures]:
     """Takes a scene's gripper for its finger; how wide it is `MeasureGripperTip` finds out.
 
@@ -195,13 +197,13 @@ def _take_gripper(
     """
     if gripper is None:
         raise ScenarioError(
-            "pusher is gripper, but the scene has no gripper; expected a model in whose folder "
+            f"pusher is {pusher}, but the scene has no gripper; expected a model in whose folder "
             "there is a gripper.yaml, or pusher: finger"
         )
     if gripper.tip_frame is None:
         raise ScenarioError(
-            f"pusher is gripper, but tip_frame in the gripper.yaml of {model} is missing; expected "
-            "the name of a frame at the ends of its fingers, or pusher: finger"
+            f"pusher is {pusher}, but tip_frame in the gripper.yaml of {model} is missing; "
+            "expected the name of a frame at the ends of its fingers, or pusher: finger"
         )
     return model, gripper, FingerMeasures(tip_frame=gripper.tip_frame, tip_radius=gripper.jaw_reach)
 
@@ -253,7 +255,7 @@ def make_robot_directives(
     if grasping is None:
         grasping = scenes is not None and scenes.grasp is not None
     what: SceneKind = "grasp" if grasping else "push"
-    if pusher == "gripper":
+    if pusher != "finger":
         what = "gripper"
     scene = scenes and getattr(scenes, what)
     if not scene:
@@ -414,7 +416,7 @@ def GetRobotInPlant(plant: MultibodyPlant, robot: Robot) -> RobotInPlant:
 
 def _list_grippers(robot: Robot) -> list[tuple[str, GripperMeasures]]:
     """Lists the model and the measures of a robot's gripper, whether it grasps or pushes."""
-    grippers = {robot.gripper_model: robot.gripper, robot.finger_model: robot.closed_gripper}
+    grippers = {robot.gripper_model: robot.gripper, robot.finger_model: robot.pushing_gripper}
     return [(model, measures) for model, measures in grippers.items() if measures is not None]
 
 
@@ -428,10 +430,28 @@ def GetTipInBody(plant: MultibodyPlant, robot: Robot) -> tuple[RigidBody, RigidT
 
 def list_touching_bodies(plant: MultibodyPlant, robot: Robot) -> list[RigidBody]:
     """Lists the bodies with which a robot pushes: the finger's tip, or the gripper's fingers."""
-    if robot.closed_gripper is None:
+    if robot.pushing_gripper is None:
         return [plant.GetBodyByName(robot.finger.tip_frame)]
     gripper = plant.GetModelInstanceByName(robot.finger_model)
-    return [plant.GetBodyByName(name, gripper) for name in robot.closed_gripper.fingers]
+    return [plant.GetBodyByName(name, gripper) for name in robot.pushing_gripper.fingers]
+
+
+def SetGripperOpening(plant: MultibodyPlant, robot: Robot) -> None:
+    """Holds the fingers of a gripper that pushes as far apart as it should, in new Contexts.
+
+    Args:
+        plant: a finalised plant with the robot's scene.
+        robot: the robot; nothing is done where a finger pushes.
+    """
+    if robot.pushing_gripper is None:
+        return
+    gripper = plant.GetModelInstanceByName(robot.finger_model)
+    # Each finger goes half of the way, from where it is when the gripper is closed.
+    signs = [
+        1.0 if joint.position_upper_limits()[0] > 0.0 else -1.0
+        for joint in list_moving_joints(plant, gripper)
+    ]
+    plant.SetDefaultPositions(gripper, robot.opening / 2 * np.array(signs))
 
 
 def list_moving_joints(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[Joint]:

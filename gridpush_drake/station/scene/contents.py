@@ -180,7 +180,7 @@ def CalcHome(plant: MultibodyPlant, robot: Robot) -> tuple[float, float, float]:
     """
     x, y, z = robot.arm.home
     p_WR = CalcBasePose(plant, robot).translation()
-    aside = 0.0 if robot.closed_gripper is None else GRIPPER_ASIDE
+    aside = 0.0 if robot.pushing_gripper is None else GRIPPER_ASIDE
     return float(p_WR[0] + x), float(p_WR[1] + y + aside), z
 
 

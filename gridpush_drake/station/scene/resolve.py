@@ -32,7 +32,13 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.robot.arm import ArmReach, CalcStartPosture, MakeControlPlant
 from gridpush_drake.station.robot.gripper_tip import MeasureGripperTip
-from gridpush_drake.station.robot.robot import GetRobotInPlant, Robot, check_robot, find_robot
+from gridpush_drake.station.robot.robot import (
+    GetRobotInPlant,
+    Robot,
+    SetGripperOpening,
+    check_robot,
+    find_robot,
+)
 from gridpush_drake.station.scene.camera import (
     AddSeenVisual,
     FoundObject,
@@ -197,11 +203,13 @@ def _resolve(scenario: PushScenario, known_object: GridObject | None) -> Resolve
 
     # The scene and the robot in it.
     robot = find_robot(scenario.directives, scenario.packages, scenario.pusher)
+    robot = replace(robot, opening=_choose_opening(scenario, robot))
     scene = _MakeScene(scenario, robot, obj, others, truth)
     plant = scene.plant
     inspector = scene.scene_graph.model_inspector()
     check_robot(plant, robot)
-    if robot.closed_gripper is not None:
+    SetGripperOpening(plant, robot)
+    if robot.pushing_gripper is not None:
         robot = _MeasureGripper(scenario, robot, plant, inspector)
     tip_radius = robot.tip_depth
     _check_heights(scenario, tip_radius)
@@ -211,7 +219,7 @@ def _resolve(scenario: PushScenario, known_object: GridObject | None) -> Resolve
     _check_on_table(fields, obj, scenario.object_pose, table_top)
     _check_others(scenario, obj, others, table_top, tip_radius)
     _check_posts(scenario, obj, others, table_top, tip_radius)
-    if robot.closed_gripper is None:
+    if robot.pushing_gripper is None:
         _check_tip(robot, plant, inspector)
     _check_reach(scenario, plant, robot)
 
@@ -240,11 +248,36 @@ def _resolve(scenario: PushScenario, known_object: GridObject | None) -> Resolve
 def _MeasureGripper(
     scenario: PushScenario, robot: Robot, plant: MultibodyPlant, inspector: SceneGraphInspector
 ) -> Robot:
-    """Returns the robot with what its closed gripper touches objects with, and how wide it is."""
+    """Returns the robot with what its gripper touches objects with, and how far that reaches."""
     top = max([scenario.object_height, *(other.height for other in scenario.others)])
     tip = MeasureGripperTip(plant, inspector, robot, scenario.finger.push_height, top)
     finger = robot.finger.model_copy(update={"tip_radius": tip.shape.reach})
     return replace(robot, tip=tip, finger=finger)
+
+
+def _choose_opening(scenario: PushScenario, robot: Robot) -> float:
+    """Chooses how far the fingers of a gripper that pushes are apart, m; 0 where it is closed.
+
+    Raises:
+        ScenarioError: the gripper does not open so far, or another pusher has no opening.
+    """
+    opening = scenario.finger.opening
+    if scenario.pusher != "fingertips" or robot.pushing_gripper is None:
+        if opening is not None:
+            raise ScenarioError(
+                f"finger.opening is {opening:g}, and pusher {scenario.pusher}; expected pusher: "
+                "fingertips, or no opening"
+            )
+        return 0.0
+    widest = robot.pushing_gripper.opening
+    if opening is None:
+        return HALF_OPEN * widest
+    if opening > widest:
+        raise ScenarioError(
+            f"finger.opening is {opening:g}; expected at most {widest:g}, as far as the gripper "
+            "opens (m)"
+        )
+    return opening
 
 
 def _push_by(obj: GridObject, scenario: PushScenario, robot: Robot) -> GridObject:
@@ -312,6 +345,9 @@ def _MakeScene(
         others=tuple(others_in_plant),
     )
 
+
+HALF_OPEN = 0.5
+"""Fraction of its whole opening to which a gripper opens to push with both fingers."""
 
 TIP_TOLERANCE = 1e-6
 """Greatest difference between the tip's radius in finger.yaml and in the finger's model, m."""

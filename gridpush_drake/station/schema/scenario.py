@@ -32,6 +32,7 @@ from gridpush_drake.station.robot.measures import Packages, PusherKind
 from gridpush_drake.station.schema.camera_config import CameraConfig
 from gridpush_drake.station.schema.fields import (
     MAX_SIZE,
+    MIN_SIZE,
     RANGE_DESCRIPTION,
     YAML_REFUSALS,
     Config,
@@ -80,10 +81,20 @@ class FingerConfig(Config):
     Attributes:
         push_height: height of the tip's center above the table while it pushes, m.
         travel_height: height of the tip's center above the table while it passes over objects, m.
+        opening: how far the gripper's fingers are apart where they push (`pusher: fingertips`), m;
+            null for half of what the gripper opens.
     """
 
     push_height: Annotated[Number, positive("m")] = 0.012
     travel_height: Annotated[Number, positive("m")] = 0.12
+    opening: Annotated[
+        Number | None,
+        Field(
+            ge=MIN_SIZE,
+            le=MAX_SIZE,
+            description=f"a positive number, in m, from {MIN_SIZE:g} to {MAX_SIZE:g}, or null",
+        ),
+    ] = None
 
 
 class PokeConfig(Config):
@@ -483,7 +494,8 @@ class PushScenario(Config):
         base: "free": the object can tip and be lifted; "planar": it only slides and turns, and
             each cell bears exactly its own weight.
         pusher: "finger": the round tip of a finger pushes; "gripper": the robot's closed gripper,
-            which points down and has no finger beside it.
+            which points down and has no finger beside it; "fingertips": both fingers of the
+            gripper, which is held open.
         finger: heights at which the finger, or the gripper, pushes and travels.
         pokes: the pushes that explore, and those that test.
         camera: how the robot sees the object.
@@ -524,7 +536,9 @@ class PushScenario(Config):
     )
     unknown_inertia: Annotated[bool, Field(description="true or false")] = False
     base: Annotated[Literal["free", "planar"], Field(description="one of free, planar")] = "free"
-    pusher: Annotated[PusherKind, Field(description="one of finger, gripper")] = "finger"
+    pusher: Annotated[PusherKind, Field(description="one of finger, gripper, fingertips")] = (
+        "finger"
+    )
     finger: FingerConfig = FingerConfig()
     pokes: PokeConfig = PokeConfig()
     camera: CameraConfig = CameraConfig()

@@ -6,7 +6,7 @@ a scenario makes sense as a whole is decided in `station.scene.resolve`.
 
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import yaml
 from pydrake.common.yaml import yaml_dump_typed
@@ -15,6 +15,7 @@ from pydrake.multibody.parsing import ModelDirectives
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import is_file, read_text, shorten_path, write_whole
 from gridpush_drake.multibody.parser import find_models
+from gridpush_drake.station.robot.measures import PusherKind
 from gridpush_drake.station.robot.robot import make_robot_directives
 from gridpush_drake.station.schema.scenario import CURRENT_VERSION, OtherConfig, PushScenario
 from gridpush_drake.yaml_file import (
@@ -246,10 +247,13 @@ def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:
     if "directives" in data:
         raise ScenarioError(f"{ROBOT_KEY} and directives are both given; expected one of them")
     beside = path.parent / robot
+    # one that is not known is refused with all other fields
+    known: tuple[PusherKind, ...] = get_args(PusherKind)
+    pusher = next((kind for kind in known if kind == data.get("pusher")), known[0])
     directives = make_robot_directives(
         str(beside) if is_file(beside / "robot.yaml") else robot,
         grasping=None,
-        pusher="gripper" if data.get("pusher") == "gripper" else "finger",
+        pusher=pusher,
     )
     return {key: value for key, value in data.items() if key != ROBOT_KEY} | {
         "directives": directives

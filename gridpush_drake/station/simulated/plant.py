@@ -29,6 +29,7 @@ from gridpush_drake.station.robot.robot import (
     GetRobotInPlant,
     Robot,
     RobotInPlant,
+    SetGripperOpening,
     list_moving_joints,
     list_touching_bodies,
 )
@@ -120,7 +121,7 @@ class World:
         plant_context = plant.GetMyMutableContextFromRoot(root_context)
         plant.SetPositions(plant_context, arm, self.setting.q_start)
         plant.SetVelocities(plant_context, arm, np.zeros_like(self.setting.q_start))
-        if self.setting.robot.closed_gripper is not None:
+        if self.setting.robot.pushing_gripper is not None:
             # What drives a real gripper does not give way.
             for joint in list_moving_joints(plant, self.robot_in_plant.finger):
                 joint.Lock(plant_context)
@@ -213,6 +214,7 @@ def AddWorld(
     if drake_models is not None:
         AddVisualMeshes(plant, scene_graph, drake_models)
     plant.Finalize()
+    SetGripperOpening(plant, robot)
 
     # What the robot knows of the plant, and what only the world knows.
     setting = MakeSetting(resolved, scenario, plant, found, others)

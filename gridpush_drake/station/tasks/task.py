@@ -383,15 +383,16 @@ class StationTask(Generic[RecordType]):
         """Lists why a gripper cannot push in the task, in place of a finger."""
         if resolved.robot.shape is None:
             return []
+        pusher = resolved.scenario.pusher
         if not cls.takes_gripper:
             return [
-                "pusher is gripper, which is for straight pushes away from the table's edge, in "
+                f"pusher is {pusher}, which is for straight pushes away from the table's edge, in "
                 "the tasks identify, push, separate and rearrange; expected pusher: finger, and a "
                 "scene with a finger"
             ]
         if resolved.scenario.unknown_inertia:
             return [
-                "pusher is gripper, and unknown_inertia is true, which asks for presses with a "
+                f"pusher is {pusher}, and unknown_inertia is true, which asks for presses with a "
                 "finger; expected pusher: finger, or unknown_inertia: false"
             ]
         return []
