@@ -19,6 +19,7 @@ The yaw is a number and no rotation: a wrist that has to turn by more than half 
 while a `PiecewisePose` would go the shorter way.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -40,6 +41,9 @@ Point = tuple[float, float, float]
 
 ToolPose = tuple[float, float, float, float]
 """Place p_WP of the tip's center, m, and the tool's yaw, rad: 0 is `R_WP_DOWN`."""
+
+TipRule = Callable[[Array, float], str | None]
+"""Says in a sentence why the tip may not be at p_WP (3,), m, with the tool's yaw, rad; or None."""
 
 TURNING_RADIUS = 0.3
 """Length of path for which a turn by a radian counts, m."""

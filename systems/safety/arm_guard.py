@@ -9,7 +9,6 @@ What is *not* here: how a robot answers commands that stop coming (`CommandRamp`
 messages are whole and in order (`HardwareLink`).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from pydrake.systems.framework import Context
 
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.multibody.tool_motion import TipRule
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.systems.base.messages import GraspStatus
 from gridpush_drake.systems.base.object_controller import AbstractStateSystem
@@ -180,7 +180,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         self,
         limits: GuardLimits,
         calc_tip: CalcTip,
-        validator: Callable[[Array], str | None] | None = None,
+        validator: TipRule | None = None,
         period: float = 0.005,
         object_watch: ObjectWatch | None = None,
     ) -> None:
@@ -190,8 +190,8 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             limits: what it allows; their sizes say how many joints there are.
             calc_tip: the arm's forward kinematics, from the joint positions (n,), rad, to the place
                 of the tip p_WP (3,), m.
-            validator: of the tip's place p_WP (3,), m: None where it may be there, else a sentence;
-                None allows all.
+            validator: of the tip's place p_WP (3,), m, and the tool's yaw, rad: None where it may
+                be there, else a sentence; None allows all.
             period: of the commands, s.
             object_watch: what the object's motion is judged by; None looks for jumps only.
         """

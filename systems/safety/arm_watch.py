@@ -5,13 +5,13 @@ last moments, and finds what is wrong, each with a sentence. It decides on nothi
 the arm. How the object moves is watched by `object_watch`.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.multibody.tool_motion import TipRule
 from gridpush_drake.systems.safety.arm_path import ArmPath
 from gridpush_drake.systems.safety.guard_status import (
     BY_SILENCE,
@@ -133,15 +133,14 @@ class ArmWatch:
         self,
         limits: GuardLimits,
         period: float,
-        validator: Callable[[Array], str | None] | None = None,
+        validator: TipRule | None = None,
     ) -> None:
         """Takes what never changes.
 
         Args:
             limits: what is allowed.
             period: of the commands, s.
-            validator: of the tip's place p_WP (3,), m: None where it may be there, else a sentence;
-                None allows all.
+            validator: says where the tip may not be; None allows all.
         """
         self.limits = limits
         self._period = period
@@ -352,5 +351,5 @@ class ArmWatch:
         """Finds out whether the tip is where it may not be."""
         if self._validator is None or not np.isfinite(inputs.tip).all():
             return []
-        breach = self._validator(inputs.tip)
+        breach = self._validator(inputs.tip, inputs.yaw)
         return [Fault(StopKind.TIP, breach)] if breach else []

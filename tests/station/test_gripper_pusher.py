@@ -15,7 +15,7 @@ from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.station.control.robot_control import Learning
-from gridpush_drake.station.hardware.hardware_station import make_object_watch
+from gridpush_drake.station.hardware.hardware_station import make_bounds, make_object_watch
 from gridpush_drake.station.robot.robot import find_robot, list_robots, make_robot_directives
 from gridpush_drake.station.scene.resolve import resolve
 from gridpush_drake.station.schema.scenario import PushScenario
@@ -107,6 +107,21 @@ def test_two_fingertips_are_as_far_apart_as_asked_and_discs_fill_their_rims(robo
 def test_an_opening_that_cannot_be_is_refused(pusher, opening, says):
     with pytest.raises(ScenarioError, match=says):
         resolve(make_scenario("panda", pusher, finger={"opening": opening}))
+
+
+def test_all_of_a_gripper_keeps_the_guards_bounds():
+    station = MakePushStation(make_scenario("panda"), learning=Learning(max_pushes=0))
+    bounds = make_bounds(station._world.setting)
+    x, _, _, left = bounds.box.bounds
+    inside = [x + 0.3, left - 0.02, 0.1]  # 52 mm wide, 22 mm thick
+    assert bounds(np.array(inside), np.pi / 2) is None
+    assert "the gripper's tip is at" in bounds(np.array(inside), 0.0)
+    # Beside the table, below its top: the tip is beyond the edge, and a part of the fingers is not.
+    bounds = replace(bounds, box=bounds.table_top.buffer(0.3))
+    x, _, _, left = bounds.table_top.bounds
+    beside = np.array([x + 0.3, left + 0.02, -0.01])
+    assert bounds(beside, np.pi / 2) is None
+    assert bounds(beside, 0.0).endswith("in the table")
 
 
 def test_the_simulated_fingers_stay_where_they_are_held():

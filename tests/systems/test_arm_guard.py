@@ -408,7 +408,7 @@ def test_a_further_fault_ends_the_retreat_where_it_is_and_is_told():
         ({"position_measured": BEGIN + 1.0}, "was measured to move at"),
         ({"stop": [BY_USER]}, "stopped by the user"),
     ):
-        bench = Bench(lambda p_WP: "the tip is too low" if p_WP[2] < 0 else None)
+        bench = Bench(lambda p_WP, yaw: "the tip is too low" if p_WP[2] < 0 else None)
         bench.follow_ramp(count=80)
         bench.step(torque_external=[31.0, 0.0])
         bench.run(30, torque_external=np.zeros(2))
@@ -582,7 +582,7 @@ def test_an_object_may_be_moved_by_hand_while_the_arm_is_idle_and_by_the_gripper
 
 
 def test_leaving_the_workspace_ctrl_c_and_numbers_that_are_none_stop_the_arm():
-    def validator(p_WP):
+    def validator(p_WP, yaw):
         return "the tip is too low" if p_WP[2] < 0 else None
 
     nan = np.nan
@@ -693,7 +693,7 @@ class Story:
 
     def __init__(self, motion, episodes):
         self.bench = Bench(
-            validator=lambda p: "the tip is too far" if np.hypot(*p[:2]) > 1.5 else None,
+            validator=lambda p, yaw: "the tip is too far" if np.hypot(*p[:2]) > 1.5 else None,
             object_watch=WATCH,
         )
         self.motion, self.episodes = motion, episodes

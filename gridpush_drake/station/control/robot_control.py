@@ -7,7 +7,6 @@ of robot and table is in `station.scene.setting`, and where its finger may be in
 `station.scene.finger_region`.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from pydrake.multibody.inverse_kinematics import DifferentialInverseKinematicsIntegrator
@@ -17,7 +16,7 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.dynamics.pusher import PusherShape
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.multibody.tool_motion import TipRule
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.segmentation import RecordOptions
 from gridpush_drake.station.control.grasping import (
@@ -188,7 +187,7 @@ def AddRobotControl(
     object_pose: OutputPort,
     gripper_state: OutputPort | None,
     logged: dict[str, OutputPort] | None = None,
-    tip_bounds: Callable[[Array], str | None] | None = None,
+    tip_bounds: TipRule | None = None,
     load: FeltLoad | None = None,
     tip_force: OutputPort | None = None,
     steer_speed: float | None = None,

@@ -21,9 +21,10 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import Multiplexer
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.multibody.tool_motion import R_WP_DOWN
+from gridpush_drake.multibody.tool_motion import R_WP_DOWN, calc_tool_pose
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.control.grasping import ExportOutputs
 from gridpush_drake.station.control.robot_control import (
@@ -87,22 +88,33 @@ class TipBounds:
         box: where the tip may be, seen from above, a polygon in W, m.
         table_top: the table's top, a polygon in W, m. Over it the tip stays above the table.
         top: greatest height of the tip above the table, m.
+        shape: of a gripper that pushes, all of which keeps the bounds; None of a finger, whose
+            tip's center does.
     """
 
     box: BaseGeometry
     table_top: BaseGeometry
     top: float
+    shape: PusherShape | None = None
 
-    def __call__(self, p_WP: Array) -> str | None:
-        """Says in a sentence why the tip may not be at p_WP (3,), m; None if it may."""
+    def __call__(self, p_WP: Array, yaw: float) -> str | None:
+        """Says in a sentence why the tip may not be at p_WP (3,), m, turned by a yaw, rad.
+
+        Returns:
+            The sentence; None if it may be there.
+        """
         x, y, z = p_WP.tolist()
-        where = f"the finger's tip is at ({x:.3f}, {y:.3f}, {z:.3f}) m"
-        if not self.box.covers(shapely.Point(x, y)):
+        what = "the finger's tip" if self.shape is None else "the gripper's tip"
+        where = f"{what} is at ({x:.3f}, {y:.3f}, {z:.3f}) m"
+        covered = shapely.Point(x, y) if self.shape is None else self.shape.at([x, y, yaw])
+        if not self.box.covers(covered):
             x_min, y_min, x_max, y_max = self.box.bounds
+            all_of_it = "it" if self.shape is None else "all of it"
             return (
-                f"{where}; it may be at x {x_min:g} to {x_max:g} m and y {y_min:g} to {y_max:g} m"
+                f"{where}; {all_of_it} may be at x {x_min:g} to {x_max:g} m and y {y_min:g} to "
+                f"{y_max:g} m"
             )
-        if z < 0.0 and self.table_top.covers(shapely.Point(x, y)):
+        if z < 0.0 and self.table_top.intersects(covered):
             return f"{where}, in the table"
         if z > self.top:
             return f"{where}; it may be {self.top:.2f} m high"
@@ -120,7 +132,7 @@ def make_bounds(setting: StationSetting) -> TipBounds:
     )
     box = shapely.box(*used.envelope.buffer(margin, join_style="mitre").bounds)
     top = max(z, scenario.finger.travel_height) + scenario.pregrasp.lift + margin
-    return TipBounds(box=box, table_top=setting.table_top, top=top)
+    return TipBounds(box=box, table_top=setting.table_top, top=top, shape=setting.robot.shape)
 
 
 def make_limits(scenario: PushScenario, control_plant: MultibodyPlant) -> GuardLimits:
@@ -296,7 +308,7 @@ class HardwareStation(Station):
                 f"down; at most {DEGREES * MAX_TILT:.0f} will do: bring the arm's joints to about "
                 f"{home} rad"
             )
-        breach = make_bounds(self._setting)(X_WP.translation())
+        breach = make_bounds(self._setting)(X_WP.translation(), calc_tool_pose(X_WP)[3])
         if breach:
             raise StationError(f"{breach}: bring the arm's joints to about {home} rad")
 

@@ -19,7 +19,6 @@ paths of 10 instead of 6). Its `InverseKinematics` with SNOPT takes 510 ms, and 
 the postures.
 """
 
-from collections.abc import Callable
 from functools import lru_cache
 from threading import RLock
 
@@ -33,7 +32,12 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.multibody.tool_motion import R_WP_DOWN, TURNING_RADIUS, calc_tool_rotation
+from gridpush_drake.multibody.tool_motion import (
+    R_WP_DOWN,
+    TURNING_RADIUS,
+    TipRule,
+    calc_tool_rotation,
+)
 from gridpush_drake.station.robot.robot import AddRobot, Robot
 
 POSITION_TOLERANCE = 1e-6
@@ -212,7 +216,7 @@ class ArmReach:
         control_plant: MultibodyPlant,
         robot: Robot,
         q_nominal: ArrayLike,
-        tip_bounds: Callable[[Array], str | None] | None = None,
+        tip_bounds: TipRule | None = None,
     ):
         """Prepares the search.
 
@@ -220,8 +224,9 @@ class ArmReach:
             control_plant: the robot alone, as `MakeControlPlant` makes it.
             robot: the robot; its `control` says how far paths keep from the joints' limits.
             q_nominal: (n,) nominal posture, rad. Paths begin at it, and postures stay near to it.
-            tip_bounds: says in a sentence why the tip may not be at p_WP (3,), m, or None if it
-                may. Seen from above, the places where it may be are convex. None for no bounds.
+            tip_bounds: says in a sentence why the tip may not be at p_WP (3,), m, with the tool's
+                yaw, rad, or None if it may. Seen from above, the places where it may be are
+                convex. None for no bounds.
         """
         self._posture = ArmPosture(control_plant, robot)
         self._tip_bounds = tip_bounds
@@ -245,13 +250,13 @@ class ArmReach:
             yaws: (k,) yaw of the tool at the corners, rad; None if it does not turn.
         """
         corners = np.array(path, float)
+        turns = np.zeros(len(corners)) if yaws is None else np.asarray(yaws, float)
         if self._tip_bounds is not None:
             # Between two corners the tip goes straight, and so stays in what is convex.
-            for corner in corners:
-                beyond = self._tip_bounds(corner)
+            for corner, turn in zip(corners, turns.tolist(), strict=True):
+                beyond = self._tip_bounds(corner, turn)
                 if beyond is not None:
                     return beyond
-        turns = np.zeros(len(corners)) if yaws is None else np.asarray(yaws, float)
         corners = np.column_stack([corners, turns])
         q, reason = self._follow(self._nominal, np.append(self._p_WN, 0.0), corners[0], None)
         for start, end, speed in zip(
