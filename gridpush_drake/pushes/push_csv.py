@@ -101,6 +101,13 @@ SHAPE_FORM = "MULTIPOINT ((x y), ...), POLYGON ((x y, ...)) or LINESTRING (x y, 
 SHAPE_RADIUS = "RADIUS"
 """Word before the radius in it."""
 
+PUSHER_HELP = (
+    "plate:WxTxR (width, thickness, radius of the corners; also a closed gripper), "
+    "discs:R@x,y;x,y (radius, then the centers; such as two fingertips), or as in the column "
+    f"{PUSHER_COLUMN} of a push log, all in m. Its x axis points where it pushes."
+)
+"""The forms of a pusher's shape that a user types, for help texts."""
+
 KNOWN = (*FORCE_COLUMNS, LIFT_FORCE, OVERHANG_COLUMN, TABLE_COLUMN, YAW_COLUMN, PUSHER_COLUMN)
 """Columns of what may be known besides."""
 
@@ -401,24 +408,61 @@ def read_shape(path: Path, line: int, cell: str) -> PusherShape | None:
     """Reads a pusher's shape; None of an empty cell."""
     if is_empty(cell):
         return None
-    text, found, radius = cell.partition(SHAPE_RADIUS)
+    try:
+        return _parse_core(cell)
+    except ValueError:
+        fail(path, line, PUSHER_COLUMN, f"is {cell[:MAX_SHOWN]!r}; expected {SHAPE_FORM} (m)")
+    except PushError as error:
+        fail(path, line, PUSHER_COLUMN, str(error))
+
+
+def parse_pusher(option: str, text: str) -> PusherShape:
+    """Reads a pusher's shape as a user types it.
+
+    Args:
+        option: the option's name, for the error's message.
+        text: `plate:0.06x0.02x0.003` (width, thickness, radius of the corners),
+            `discs:0.004@0,-0.02;0,0.02` (radius, then the centers), or the form of a push log, m.
+
+    Raises:
+        PushLogError: the text is of no such form, or makes no shape.
+    """
+    kind, _, rest = text.partition(":")
+    try:
+        if kind == "plate":
+            width, thickness, radius = map(float, rest.split("x"))
+            return PusherShape.plate(width, thickness, radius)
+        if kind == "discs":
+            size, _, places = rest.partition("@")
+            centers = [[float(each) for each in place.split(",")] for place in places.split(";")]
+            return PusherShape.discs(centers, float(size))
+        return _parse_core(text)
+    except ValueError:
+        raise PushLogError(
+            f"{option}: is {text[:MAX_SHOWN]!r}; expected plate:WxTxR, discs:R@x,y;x,y or "
+            f"{SHAPE_FORM} (m)"
+        ) from None
+    except PushError as error:
+        raise PushLogError(f"{option}: {error}") from error
+
+
+def _parse_core(text: str) -> PusherShape:
+    """Reads a pusher's shape as a push log has it; raises ValueError where it has another form."""
+    core, found, radius = text.partition(SHAPE_RADIUS)
     size = parse_number(radius.strip())
     try:
-        geometry = shapely.from_wkt(text.strip())
+        geometry = shapely.from_wkt(core.strip())
     except shapely.GEOSException:
         geometry = None
     known = (shapely.MultiPoint, shapely.Point, shapely.LineString, shapely.Polygon)
     if not found or size is None or not isinstance(geometry, known) or geometry.is_empty:
-        fail(path, line, PUSHER_COLUMN, f"is {cell[:MAX_SHOWN]!r}; expected {SHAPE_FORM} (m)")
+        raise ValueError
     # a ring ends where it begins
-    core = shapely.get_coordinates(geometry)
+    places = shapely.get_coordinates(geometry)
     if isinstance(geometry, shapely.Polygon):
-        core = core[:-1]
+        places = places[:-1]
     joined = not isinstance(geometry, (shapely.MultiPoint, shapely.Point))
-    try:
-        return PusherShape(core, size, joined)
-    except PushError as error:
-        fail(path, line, PUSHER_COLUMN, str(error))
+    return PusherShape(places, size, joined)
 
 
 def _make_path(path: Path, rows: list[_Row], radius: float) -> Push:

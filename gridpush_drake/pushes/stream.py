@@ -197,7 +197,9 @@ def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) ->
     return velocity
 
 
-def make_samples(t: Array, tip: Array, velocity: Array, poses: Array) -> list[Sample]:
+def make_samples(
+    t: Array, tip: Array, velocity: Array, poses: Array, yaw: Array | None = None
+) -> list[Sample]:
     """Puts samples together.
 
     Args:
@@ -205,12 +207,19 @@ def make_samples(t: Array, tip: Array, velocity: Array, poses: Array) -> list[Sa
         tip: (K, 3) p_WP, places of the tip's center, m.
         velocity: (K, 3) v_WP, m/s.
         poses: (K, 3) q_WB of the object, m and rad; NaN where it was not seen.
+        yaw: (K,) angle of the pusher's frame, rad; None of a disc.
 
     Returns:
         K samples.
     """
-    rows = zip(t.tolist(), poses.tolist(), tip.tolist(), velocity.tolist(), strict=True)
-    return [Sample(time, tuple(pose), tuple(place), tuple(v)) for time, pose, place, v in rows]
+    turned = np.zeros(len(t)) if yaw is None else yaw
+    rows = zip(
+        t.tolist(), poses.tolist(), tip.tolist(), velocity.tolist(), turned.tolist(), strict=True
+    )
+    return [
+        Sample(time, tuple(pose), tuple(place), tuple(v), yaw=angle)
+        for time, pose, place, v, angle in rows
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,9 +308,8 @@ def read_stream_csv(path: Path | str) -> Stream:
     tip, velocity, poses = np.array(groups).transpose(1, 0, 2)
     if not measured:
         velocity = calc_velocities(times, tip)
-    samples = make_samples(times, tip, velocity, poses)
-    turned = zip(samples, yaws, strict=True)
-    return Stream([sample._replace(yaw=yaw) for sample, yaw in turned], pose_delay)
+    samples = make_samples(times, tip, velocity, poses, np.array(yaws))
+    return Stream(samples, pose_delay)
 
 
 def _read_yaw(path: Path, line: int, cell: str) -> float:

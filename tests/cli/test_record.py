@@ -51,6 +51,29 @@ def test_writes_the_pushes_of_a_stream(gridpush, script, stream, thing, tmp_path
     check_same(expected, PushLog.read_csv(out))
 
 
+def test_the_pushers_shape_is_told_by_the_user_and_its_angle_by_the_stream(
+    gridpush, refuses, script, thing, tmp_path
+):
+    path, out = tmp_path / "turned.csv", tmp_path / "pushes.csv"
+    write_stream_csv([each._replace(yaw=0.3) for each in script.samples], path)
+    shape = "POLYGON ((-0.008 -0.02, -0.002 -0.02, -0.002 0.02, -0.008 0.02, -0.008 -0.02)) RADIUS 0.002"
+    arguments = ("record", path, "--object", thing, "--out", out, "--force")
+    for told in (shape, "plate:0.044x0.01x0.002"):
+        outcome = gridpush(*arguments, "--pusher", told)
+        assert outcome.code == 0, outcome.err
+        for seen in PushLog.read_csv(out):
+            assert seen.push.shape.radius == 0.002 and seen.push.shape.joined
+            np.testing.assert_allclose(seen.push.shape.area.bounds, [-0.01, -0.022, 0, 0.022])
+            np.testing.assert_array_equal(seen.push.yaw, 0.3)
+    for told, says in (
+        ("plate:0.04", "expected plate:WxTxR, discs:R@x,y;x,y or MULTIPOINT"),
+        ("discs:0.004", "expected plate:WxTxR, discs:R@x,y;x,y or MULTIPOINT"),
+        ("POLYGON ((0 0, 1 0, 1 1))", "expected plate:WxTxR, discs:R@x,y;x,y or MULTIPOINT"),
+        ("plate:0.04x0.01x0.02", "the polygon is thinner than 0.04 m"),
+    ):
+        refuses(*arguments, "--pusher", told, says=["--pusher", says])
+
+
 def test_a_delay_is_found_taken_out_and_agreed_with(gridpush, script, stream, thing, tmp_path):
     late = [
         now._replace(pose=old.pose)

@@ -15,6 +15,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.planning.support_surface import stayed_supported
 from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.pose_delay import choose_delay
+from gridpush_drake.pushes.push_csv import PUSHER_HELP, parse_pusher
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterOptions
 from gridpush_drake.pushes.stream import (
     DELAY_COLUMN,
@@ -35,8 +36,8 @@ def record(
         typer.Argument(
             metavar="STREAM.csv",
             help="A CSV file with the columns t, tip_x, tip_y, object_x, object_y, object_theta "
-            "(s, m and rad) and, if known, tip_z, tip_vx, tip_vy, tip_vz and, in the first row, "
-            "object_delay. Where nothing was seen, the fields of a row are empty.",
+            "(s, m and rad) and, if known, tip_z, tip_vx, tip_vy, tip_vz, tip_yaw and, in the "
+            "first row, object_delay. Where nothing was seen, the fields of a row are empty.",
             show_default=False,
         ),
     ],
@@ -59,6 +60,15 @@ def record(
             "motion below it is taken for a push.",
         ),
     ] = SegmenterOptions.engaged_below,
+    pusher: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SHAPE",
+            help="Shape of a pusher that is no round tip, whose angle is the stream's column "
+            f"tip_yaw (0 without it): {PUSHER_HELP}",
+            show_default="a disc of the radius in the object's file",
+        ),
+    ] = None,
     pose_delay: Annotated[
         float | None,
         typer.Option(
@@ -91,7 +101,8 @@ def record(
     _check_numbers(engaged_below, pose_delay)
     surface = None if table is None else options.parse_shape("--table", table)
     obj = options.load_object(object_file)
-    radius = options.choose_radius(None, obj)
+    shape = None if pusher is None else parse_pusher("--pusher", pusher)
+    what = options.choose_radius(None, obj) if shape is None else shape
     segmenter = SegmenterOptions(engaged_below=engaged_below)
     read = read_stream_csv(stream)
     samples = read.samples
@@ -103,7 +114,7 @@ def record(
     else:
         delay = choose_delay(samples, obj, segmenter)
     record_options = RecordOptions(pose_delay=delay.value)
-    recorded = record_pushes(samples, obj, radius, segmenter, record_options, str(stream))
+    recorded = record_pushes(samples, obj, what, segmenter, record_options, str(stream))
     log = recorded.log
     if not len(log):
         why = _explain_no_push(samples, recorded)

@@ -23,12 +23,13 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.pusher import choose_pusher_radius
+from gridpush_drake.dynamics.pusher import PusherShape, choose_pusher_radius
 from gridpush_drake.errors import MAX_NUMBER, PushLogError
 from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.importers import require_object
+from gridpush_drake.pushes.push_csv import PUSHER_HELP, parse_pusher
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
@@ -112,6 +113,20 @@ class QualisysImporter:
         default=0.0,
         metadata={"help": "Height of the table's top in the world frame of the cameras, m."},
     )
+    pusher: str | None = field(
+        default=None,
+        metadata={
+            "help": "Shape of a pusher that is no round tip, whose angle is that of the tip's "
+            f"rigid body: {PUSHER_HELP}"
+        },
+    )
+    pusher_yaw: float = field(
+        default=0.0,
+        metadata={
+            "help": "With --pusher: how far its x axis is turned about the vertical from that of "
+            "the tip's rigid body, counterclockwise from above, rad."
+        },
+    )
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a table, and cuts it into the pushes of the object.
@@ -130,14 +145,16 @@ class QualisysImporter:
         tip = carrier.p + carrier.R @ _read_place(self.tip_at)
         tip[:, 2] -= self.table_height
 
-        # The yaw of a body that lies on the table: the direction of its x axis, seen from above.
-        yaw = np.arctan2(pushed.R[:, 1, 0], pushed.R[:, 0, 0])
-        poses = np.column_stack([pushed.p[:, :2], yaw])
+        poses = np.column_stack([pushed.p[:, :2], _calc_yaws(pushed.R)])
 
-        radius = choose_pusher_radius(obj)
-        samples = make_samples(t, tip, calc_velocities(t, tip), poses)
+        pusher: float | PusherShape = choose_pusher_radius(obj)
+        turned = None
+        if self.pusher is not None:
+            pusher = parse_pusher("--pusher", self.pusher)
+            turned = self._find_turns(t, carrier)
+        samples = make_samples(t, tip, calc_velocities(t, tip), poses, turned)
         recording = record_pushes(
-            samples, obj, radius, SegmenterOptions(), RecordOptions(), str(path)
+            samples, obj, pusher, SegmenterOptions(), RecordOptions(), str(path)
         )
         if not len(recording.log):
             lowest = float(np.nanmin(tip[:, 2])) if np.isfinite(tip[:, 2]).any() else math.nan
@@ -148,6 +165,27 @@ class QualisysImporter:
             )  # fmt: skip
             raise PushLogError(f"{path}: holds no push of {obj.name}: {why}")
         return recording.log, obj
+
+    def _find_turns(self, t: Array, carrier: BodyTrack) -> Array:
+        """Finds the angle of the pusher's frame (K,), rad; through gaps it is taken to turn evenly.
+
+        Raises:
+            PushLogError: `pusher_yaw` is not finite.
+        """
+        if not abs(self.pusher_yaw) <= MAX_NUMBER:
+            raise PushLogError(
+                f"--pusher-yaw: is {self.pusher_yaw!r}; expected a finite number (rad)"
+            )
+        yaws = _calc_yaws(carrier.R)
+        seen = np.isfinite(yaws)
+        if not seen.any():
+            return np.zeros(len(t))
+        return np.interp(t, t[seen], np.unwrap(yaws[seen])) + self.pusher_yaw
+
+
+def _calc_yaws(R: Array) -> Array:
+    """Calculates the directions of x axes seen from above, (K,) rad, of rotations (K, 3, 3)."""
+    return np.asarray(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
 
 
 def read_bodies(path: Path) -> tuple[Array, dict[str, BodyTrack]]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import PushLogError, PushLogWarning
 from gridpush_drake.pushes.importers.bag import BagImporter, Track, _Bag, interpolate, make_stream
 from gridpush_drake.pushes.pose_delay import estimate_delay
@@ -107,6 +108,24 @@ def test_every_kind_of_message_tells_the_same(bags, script, obj, kind, tmp_path)
     ):
         np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
         np.testing.assert_array_equal(one.push.xy, other.push.xy)
+
+
+def test_a_pusher_that_is_no_disc_turns_with_the_tips_pose(bags, obj):
+    """The tool points down, turned by 0.5 rad, and the plate is mounted a quarter turn from its x axis."""
+    path = bags["bag"]
+    log = read(path, obj, pusher="plate:0.04x0.01x0.002", pusher_yaw=np.pi / 2)
+    disc = read(path, obj)
+    assert len(log) == len(disc) > 0
+    shape = PusherShape.plate(0.04, 0.01, 0.002)
+    for seen, same in zip(log, disc, strict=True):
+        np.testing.assert_array_equal(seen.push.shape.core, shape.core)
+        np.testing.assert_allclose(seen.push.yaw, 0.5 + np.pi / 2, atol=1e-9)
+        np.testing.assert_array_equal(seen.final_pose, same.final_pose)
+        assert same.push.shape is None
+    with pytest.raises(PushLogError, match=r"--pusher: is 'plate:0\.04'; expected plate:WxTxR"):
+        read(path, obj, pusher="plate:0.04")
+    with pytest.raises(PushLogError, match="--pusher-yaw: is nan; expected a finite number"):
+        read(path, obj, pusher_yaw=np.nan)
 
 
 def test_forces_are_those_of_their_push(bags, obj):

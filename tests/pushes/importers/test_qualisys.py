@@ -106,6 +106,20 @@ def test_pushes_of_a_tilted_body(tmp_path, pushed):
     np.testing.assert_array_equal(again[0].final_pose, log[0].final_pose)
 
 
+def test_a_pusher_that_is_no_disc_turns_with_the_body_that_carries_it(tmp_path, pushed):
+    obj, rows, _ = pushed
+    path = write_table(tmp_path / "run_6D.tsv", rows)
+    log, _ = importer(obj, pusher="discs:0.004@0,-0.01;0,0.01", pusher_yaw=0.1).read(path)
+    assert len(log) == 2
+    for seen in log:
+        np.testing.assert_array_equal(seen.push.shape.core, [[0.0, -0.01], [0.0, 0.01]])
+        # The body that carries it is tilted, too: what counts is its x axis as seen from above.
+        x, y, _ = Rotation.from_euler("zyx", [0.7, 0.2, -0.1]).apply([1.0, 0.0, 0.0])
+        np.testing.assert_allclose(seen.push.yaw, 0.1 + np.arctan2(y, x), atol=1e-4)
+    with pytest.raises(PushLogError, match="--pusher-yaw: is inf; expected a finite number"):
+        importer(obj, pusher="discs:0.004@0,0", pusher_yaw=np.inf).read(path)
+
+
 def test_without_a_header_bodies_have_numbers(tmp_path, pushed):
     obj, rows, _ = pushed
     path = write_table(tmp_path / "run_6D.tsv", rows, header="")
