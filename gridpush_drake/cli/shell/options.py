@@ -108,8 +108,10 @@ PusherOption = Annotated[
     Literal["finger", "gripper", "fingertips"] | None,
     typer.Option(
         "--pusher",
-        help="What the robot pushes with: the round tip of a finger; its closed gripper, which "
-        "then points down; or both fingertips of the open one. The last two go with --robot.",
+        metavar="PUSHER",
+        help="What the robot pushes with. finger: the round tip of a finger; gripper: its closed "
+        "gripper, which then points down; fingertips: both fingers of the open one. The last two "
+        "go with --robot.",
         show_default="the scenario's, finger",
     ),
 ]
