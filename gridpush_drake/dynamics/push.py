@@ -308,6 +308,18 @@ class Push(Frozen):
         yaw = self.yaw_at(times)
         return Push.along(times, self.tip_at(times), shape=self.shape, yaw=yaw)
 
+    def shorten(self, duration: float) -> "Push":
+        """Makes the beginning of a straight push at constant velocity, of a duration, s."""
+        if self.shape is not None:
+            return self.cut([0.0, duration])
+        return Push(
+            start=self.start,
+            velocity=self.velocity,
+            duration=duration,
+            radius=self.radius,
+            start_tangent=self.start_tangent,
+        )
+
     def yaw_at(self, times: ArrayLike) -> Array:
         """Interpolates the yaw, (K,) rad, at times (K,), s from the beginning; zero of a disc."""
         times = np.asarray(times, dtype=np.float64)

@@ -33,10 +33,11 @@ import shapely
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.pusher import PusherShape
+from gridpush_drake.dynamics.pusher import PusherShape, choose_pusher_radius
 from gridpush_drake.errors import PushError, PushLogError, PushLogWarning
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.csv_table import (
     MAX_SHOWN,
     SUGGESTION_CUTOFF,
@@ -416,7 +417,21 @@ def read_shape(path: Path, line: int, cell: str) -> PusherShape | None:
         fail(path, line, PUSHER_COLUMN, str(error))
 
 
-def parse_pusher(option: str, text: str) -> PusherShape:
+def choose_pusher(option: str, text: str | None, obj: GridObject) -> float | PusherShape:
+    """Chooses what pushed an object: the shape that a user types, or a disc of a radius, m.
+
+    Args:
+        option: the option's name, for the error's message.
+        text: the shape; None of a disc, of the radius in the object's file or the usual one.
+        obj: the object.
+
+    Raises:
+        PushLogError: the text is of no form that is known, or makes no shape.
+    """
+    return choose_pusher_radius(obj) if text is None else _parse_pusher(option, text)
+
+
+def _parse_pusher(option: str, text: str) -> PusherShape:
     """Reads a pusher's shape as a user types it.
 
     Args:

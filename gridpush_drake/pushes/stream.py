@@ -197,9 +197,7 @@ def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) ->
     return velocity
 
 
-def make_samples(
-    t: Array, tip: Array, velocity: Array, poses: Array, yaw: Array | None = None
-) -> list[Sample]:
+def make_samples(t: Array, tip: Array, velocity: Array, poses: Array) -> list[Sample]:
     """Puts samples together.
 
     Args:
@@ -207,19 +205,29 @@ def make_samples(
         tip: (K, 3) p_WP, places of the tip's center, m.
         velocity: (K, 3) v_WP, m/s.
         poses: (K, 3) q_WB of the object, m and rad; NaN where it was not seen.
-        yaw: (K,) angle of the pusher's frame, rad; None of a disc.
 
     Returns:
         K samples.
     """
-    turned = np.zeros(len(t)) if yaw is None else yaw
-    rows = zip(
-        t.tolist(), poses.tolist(), tip.tolist(), velocity.tolist(), turned.tolist(), strict=True
-    )
-    return [
-        Sample(time, tuple(pose), tuple(place), tuple(v), yaw=angle)
-        for time, pose, place, v, angle in rows
-    ]
+    rows = zip(t.tolist(), poses.tolist(), tip.tolist(), velocity.tolist(), strict=True)
+    return [Sample(time, tuple(pose), tuple(place), tuple(v)) for time, pose, place, v in rows]
+
+
+def turn_samples(samples: Sequence[Sample], t: Array, yaws: Array, mounted: float) -> list[Sample]:
+    """Adds the angle of a pusher that is no disc to samples.
+
+    Args:
+        samples: the samples.
+        t: (K,) times at which what carries the pusher was seen, or was not, by the same clock, s.
+        yaws: (K,) its angles about the vertical then, rad; NaN where it was not seen, through which
+            it is taken to turn evenly.
+        mounted: how far the pusher's x axis is turned from that, rad.
+    """
+    seen = np.isfinite(yaws)
+    if not seen.any():
+        return list(samples)
+    turned = np.interp([each.t for each in samples], t[seen], np.unwrap(yaws[seen])) + mounted
+    return [each._replace(yaw=yaw) for each, yaw in zip(samples, turned.tolist(), strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,8 +316,9 @@ def read_stream_csv(path: Path | str) -> Stream:
     tip, velocity, poses = np.array(groups).transpose(1, 0, 2)
     if not measured:
         velocity = calc_velocities(times, tip)
-    samples = make_samples(times, tip, velocity, poses, np.array(yaws))
-    return Stream(samples, pose_delay)
+    samples = make_samples(times, tip, velocity, poses)
+    turned = zip(samples, yaws, strict=True)
+    return Stream([sample._replace(yaw=yaw) for sample, yaw in turned], pose_delay)
 
 
 def _read_yaw(path: Path, line: int, cell: str) -> float:

@@ -15,7 +15,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.planning.support_surface import stayed_supported
 from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.pose_delay import choose_delay
-from gridpush_drake.pushes.push_csv import PUSHER_HELP, parse_pusher
+from gridpush_drake.pushes.push_csv import PUSHER_HELP, choose_pusher
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterOptions
 from gridpush_drake.pushes.stream import (
     DELAY_COLUMN,
@@ -101,8 +101,7 @@ def record(
     _check_numbers(engaged_below, pose_delay)
     surface = None if table is None else options.parse_shape("--table", table)
     obj = options.load_object(object_file)
-    shape = None if pusher is None else parse_pusher("--pusher", pusher)
-    what = options.choose_radius(None, obj) if shape is None else shape
+    what = choose_pusher("--pusher", pusher, obj)
     segmenter = SegmenterOptions(engaged_below=engaged_below)
     read = read_stream_csv(stream)
     samples = read.samples

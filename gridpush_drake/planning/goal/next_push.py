@@ -25,7 +25,7 @@ from itertools import islice
 import numpy as np
 import shapely
 
-from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.dynamics.push import make_path_times
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import (
     Array,
@@ -194,17 +194,7 @@ class Robustness:
         ends = poses[:, usable - 1]
         if usable == len(times):
             return SafePush(planned=planned, ends=ends)
-        whole = planned.push
-        if whole.shape is not None:
-            push = whole.cut([0.0, times[usable - 1]])
-        else:
-            push = Push(
-                start=whole.start,
-                velocity=whole.velocity,
-                duration=float(times[usable - 1]),
-                radius=whole.radius,
-                start_tangent=whole.start_tangent,
-            )
+        push = planned.push.shorten(float(times[usable - 1]))
         part = replace(planned, distance=float(distance), push=push, pose=ends[0].copy())
         return SafePush(planned=part, ends=ends)
 

@@ -50,12 +50,4 @@ class PushStop:
 def cut_push(push: Push, distance: float) -> Push:
     """Returns the beginning of a straight push, up to a distance, m."""
     fraction = min(distance / push.length, 1.0)
-    if push.shape is not None:
-        return push.cut([0.0, push.duration * fraction])
-    return Push(
-        start=push.start,
-        velocity=push.velocity,
-        duration=push.duration * fraction,
-        radius=push.radius,
-        start_tangent=push.start_tangent,
-    )
+    return push.shorten(push.duration * fraction)

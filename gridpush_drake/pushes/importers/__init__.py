@@ -11,6 +11,7 @@ from typing import ClassVar, Protocol
 
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_csv import PUSHER_HELP
 from gridpush_drake.pushes.push_log import PushLog
 
 IMPORTER_CLASSES = {
@@ -59,6 +60,22 @@ OBJECT_OPTION = {
     "name": "--object",
 }
 """The option of the object, of importers whose files say nothing of it."""
+
+
+def describe_pusher_option(carrier: str) -> dict[str, str]:
+    """Describes the option of the shape of a pusher that turns with what carries it."""
+    return {
+        "help": f"Shape of a pusher that is no round tip, whose angle is that of {carrier}: "
+        f"{PUSHER_HELP}"
+    }
+
+
+def describe_yaw_option(carrier: str) -> dict[str, str]:
+    """Describes the option of how such a pusher is mounted on what carries it."""
+    return {
+        "help": "With --pusher: how far its x axis is turned about the vertical from that of "
+        f"{carrier}, counterclockwise from above, rad."
+    }
 
 
 def require_object(path: Path, obj: GridObject | None) -> GridObject:

@@ -6,7 +6,7 @@ stream, and the pushes are cut from it.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -15,17 +15,17 @@ from warnings import warn
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from gridpush_drake.dynamics.pusher import PusherShape, choose_pusher_radius
 from gridpush_drake.errors import MAX_NUMBER, PushLogError, PushLogWarning
 from gridpush_drake.files import exists
 from gridpush_drake.geometry.se2 import QUATERNION_TOLERANCE, Array, calc_yaw
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.importers import describe_pusher_option, describe_yaw_option
 from gridpush_drake.pushes.importers.two_clocks import MAX_GAP, add_force, warn_of_delay
 from gridpush_drake.pushes.pose_delay import choose_delay
-from gridpush_drake.pushes.push_csv import PUSHER_HELP, parse_pusher
+from gridpush_drake.pushes.push_csv import choose_pusher
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterOptions
-from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
+from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes, turn_samples
 from gridpush_drake.units import S_PER_NS
 
 BAGS_EXTRA = "pip install '.[bags]'"
@@ -153,20 +153,8 @@ class BagImporter:
             "object, m."
         },
     )
-    pusher: str | None = field(
-        default=None,
-        metadata={
-            "help": "Shape of a pusher that is no round tip, whose angle is that of the tip's "
-            f"pose: {PUSHER_HELP}"
-        },
-    )
-    pusher_yaw: float = field(
-        default=0.0,
-        metadata={
-            "help": "With --pusher: how far its x axis is turned about the vertical from that of "
-            "the tip's pose, counterclockwise from above, rad."
-        },
-    )
+    pusher: str | None = field(default=None, metadata=describe_pusher_option("the tip's pose"))
+    pusher_yaw: float = field(default=0.0, metadata=describe_yaw_option("the tip's pose"))
     negate_force: bool = field(
         default=False,
         metadata={
@@ -217,10 +205,10 @@ class BagImporter:
                 )
         late = (self.object_delay or 0.0) - self.tip_delay
         samples, rest = make_stream(path, thing, tip, self.rate, self.table_height, late)
-        pusher: float | PusherShape = choose_pusher_radius(self.obj)
+        pusher = choose_pusher("--pusher", self.pusher, self.obj)
         if self.pusher is not None:
-            pusher = parse_pusher("--pusher", self.pusher)
-            samples = turn_samples(samples, tip, self.pusher_yaw)
+            x, y, z, w = tip.values[:, FORCE_SIZE:].T
+            samples = turn_samples(samples, tip.t, calc_yaw(w, x, y, z), self.pusher_yaw)
         segmenter = SegmenterOptions(engaged_below=self.engaged_below)
         # The tip's stamps are late, too: the stream's delay is that of the object against the tip.
         given = None if self.object_delay is None else rest
@@ -353,20 +341,6 @@ def interpolate(track: Track, t: Array) -> Array:
     after = np.clip(np.searchsorted(track.t, t), 1, len(steps))
     gap = (steps[after - 1] > MAX_GAP * np.median(steps)) & (np.abs(track.t[after] - t) > 0)
     return np.where(gap[:, None], np.nan, np.hstack([values, turns]))
-
-
-def turn_samples(samples: Sequence[Sample], tip: Track, pusher_yaw: float) -> list[Sample]:
-    """Adds the angle of a pusher that is no disc to a stream.
-
-    Args:
-        samples: the stream, by the tip's clock.
-        tip: the tip's poses; where there are none for a while, it is taken to turn evenly.
-        pusher_yaw: how far the pusher's x axis is turned about the vertical from the tip's, rad.
-    """
-    x, y, z, w = tip.values[:, FORCE_SIZE:].T
-    turned = np.unwrap(calc_yaw(w, x, y, z)) + pusher_yaw
-    yaws = np.interp([each.t for each in samples], tip.t, turned)
-    return [each._replace(yaw=yaw) for each, yaw in zip(samples, yaws.tolist(), strict=True)]
 
 
 def turn_force(force: Track, tip: Track, sensor_yaw: float) -> Track:

@@ -23,16 +23,19 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.pusher import PusherShape, choose_pusher_radius
 from gridpush_drake.errors import MAX_NUMBER, PushLogError
 from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.importers import require_object
-from gridpush_drake.pushes.push_csv import PUSHER_HELP, parse_pusher
+from gridpush_drake.pushes.importers import (
+    describe_pusher_option,
+    describe_yaw_option,
+    require_object,
+)
+from gridpush_drake.pushes.push_csv import choose_pusher
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
-from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
+from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes, turn_samples
 from gridpush_drake.units import M_PER_MM
 
 EXPECTED_QUALISYS = "a table of rigid bodies of Qualisys Track Manager (NAME_6D.tsv)"
@@ -114,19 +117,9 @@ class QualisysImporter:
         metadata={"help": "Height of the table's top in the world frame of the cameras, m."},
     )
     pusher: str | None = field(
-        default=None,
-        metadata={
-            "help": "Shape of a pusher that is no round tip, whose angle is that of the tip's "
-            f"rigid body: {PUSHER_HELP}"
-        },
+        default=None, metadata=describe_pusher_option("the tip's rigid body")
     )
-    pusher_yaw: float = field(
-        default=0.0,
-        metadata={
-            "help": "With --pusher: how far its x axis is turned about the vertical from that of "
-            "the tip's rigid body, counterclockwise from above, rad."
-        },
-    )
+    pusher_yaw: float = field(default=0.0, metadata=describe_yaw_option("the tip's rigid body"))
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a table, and cuts it into the pushes of the object.
@@ -147,12 +140,14 @@ class QualisysImporter:
 
         poses = np.column_stack([pushed.p[:, :2], _calc_yaws(pushed.R)])
 
-        pusher: float | PusherShape = choose_pusher_radius(obj)
-        turned = None
+        pusher = choose_pusher("--pusher", self.pusher, obj)
+        samples = make_samples(t, tip, calc_velocities(t, tip), poses)
         if self.pusher is not None:
-            pusher = parse_pusher("--pusher", self.pusher)
-            turned = self._find_turns(t, carrier)
-        samples = make_samples(t, tip, calc_velocities(t, tip), poses, turned)
+            if not abs(self.pusher_yaw) <= MAX_NUMBER:
+                raise PushLogError(
+                    f"--pusher-yaw: is {self.pusher_yaw!r}; expected a finite number (rad)"
+                )
+            samples = turn_samples(samples, t, _calc_yaws(carrier.R), self.pusher_yaw)
         recording = record_pushes(
             samples, obj, pusher, SegmenterOptions(), RecordOptions(), str(path)
         )
@@ -165,22 +160,6 @@ class QualisysImporter:
             )  # fmt: skip
             raise PushLogError(f"{path}: holds no push of {obj.name}: {why}")
         return recording.log, obj
-
-    def _find_turns(self, t: Array, carrier: BodyTrack) -> Array:
-        """Finds the angle of the pusher's frame (K,), rad; through gaps it is taken to turn evenly.
-
-        Raises:
-            PushLogError: `pusher_yaw` is not finite.
-        """
-        if not abs(self.pusher_yaw) <= MAX_NUMBER:
-            raise PushLogError(
-                f"--pusher-yaw: is {self.pusher_yaw!r}; expected a finite number (rad)"
-            )
-        yaws = _calc_yaws(carrier.R)
-        seen = np.isfinite(yaws)
-        if not seen.any():
-            return np.zeros(len(t))
-        return np.interp(t, t[seen], np.unwrap(yaws[seen])) + self.pusher_yaw
 
 
 def _calc_yaws(R: Array) -> Array:

@@ -113,8 +113,9 @@ def _make_hull(touching: Sequence[BaseGeometry], model: str) -> PusherShape:
         ScenarioError: it is not.
     """
     hull = shapely.union_all(list(touching)).convex_hull
-    _check_symmetry(hull, _turn(hull), model)
-    outline = orient((hull | _turn(hull)).convex_hull.simplify(HULL_DETAIL))
+    turned = _turn(hull)
+    _check_symmetry(hull, turned, model)
+    outline = orient((hull | turned).convex_hull.simplify(HULL_DETAIL))
     return PusherShape.polygon(shapely.get_coordinates(outline)[:-1], CORNER_RADIUS)
 
 
@@ -136,8 +137,8 @@ def _make_fingertips(touching: Sequence[BaseGeometry], model: str) -> PusherShap
         )
     _check_symmetry(left, _turn(right), model)
     # Discs inside one finger that touch its rim, each at most a radius from the next.
-    least = min(np.ptp(shapely.get_coordinates(left.minimum_rotated_rectangle), axis=0))
-    radius = float(least) / DISCS_ACROSS
+    x_min, y_min, x_max, y_max = left.bounds
+    radius = min(x_max - x_min, y_max - y_min) / DISCS_ACROSS
     rim = left.buffer(-radius, join_style="mitre").exterior
     corners = shapely.get_coordinates(rim)[:-1]
     more = shapely.get_coordinates(shapely.segmentize(rim, radius))[:-1]

@@ -46,6 +46,7 @@ from gridpush_drake.station.robot.measures import (
     PusherKind,
     read_measures,
 )
+from gridpush_drake.systems.robot_records import GripperStatus
 from gridpush_drake.yaml_file import suggest
 
 SceneKind = Literal["push", "grasp", "gripper"]
@@ -446,12 +447,8 @@ def SetGripperOpening(plant: MultibodyPlant, robot: Robot) -> None:
     if robot.pushing_gripper is None:
         return
     gripper = plant.GetModelInstanceByName(robot.finger_model)
-    # Each finger goes half of the way, from where it is when the gripper is closed.
-    signs = [
-        1.0 if joint.position_upper_limits()[0] > 0.0 else -1.0
-        for joint in list_moving_joints(plant, gripper)
-    ]
-    plant.SetDefaultPositions(gripper, robot.opening / 2 * np.array(signs))
+    fingers = GripperStatus(0.0, robot.opening).calc_finger_state()[:2]
+    plant.SetDefaultPositions(gripper, fingers)
 
 
 def list_moving_joints(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[Joint]:
