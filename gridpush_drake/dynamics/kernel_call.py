@@ -220,7 +220,7 @@ def make_support(bodies: Bodies, table: Array | None) -> Support:
     obj = bodies.obj
     params = bodies.params
     if not shifts_loads(params, table):
-        return _NO_SUPPORT
+        return NO_SUPPORT
     com_x, com_y = map(float, params.center_of_mass(obj))
     lines = _get_lines(obj)
     return Support(
@@ -240,7 +240,7 @@ def make_support(bodies: Bodies, table: Array | None) -> Support:
     )
 
 
-_NO_SUPPORT = Support(
+NO_SUPPORT = Support(
     active=False,
     mass=np.empty(0),
     friction=np.empty(0),

@@ -16,6 +16,7 @@ from gridpush_drake.dynamics.kernels.inputs import Load
 from gridpush_drake.dynamics.kernels.support_loads import measure_depth
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, measure_steps
+from gridpush_drake.dynamics.scene.simulation import simulate_one
 from gridpush_drake.dynamics.simulation import find_edges_near
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray, check_vector
@@ -69,23 +70,31 @@ def simulate_models(
         raise SimulationError(f"regime is {physics.regime!r}; expected 'quasi_static'")
     q = check_vector(SimulationError, "pose", pose, 3)
     edges = find_edges_near(obj, push, q, table, inertial=False)
-    load = Load(
-        tip=push.tip_at(times),
-        path_length=push.length,
-        radius=push.radius,
-        wrench=np.zeros((len(times) - 1, 3)),
-        point=np.zeros(2),
-    )
-    poses, tips = run_models(
-        obj,
-        models,
-        physics,
-        pose=q,
-        dts=measure_steps(push, times, physics.regime),
-        load=load,
-        table=edges,
-        approximate=approximate,
-    )
+    if push.shape is not None:
+        motions = [
+            simulate_one(Bodies(obj, params, physics), push, q, times=times, edges=edges)
+            for params in models
+        ]
+        poses = np.array([motion.poses for motion in motions])
+        tips = np.array([motion.tips for motion in motions])
+    else:
+        load = Load(
+            tip=push.tip_at(times),
+            path_length=push.length,
+            radius=push.radius,
+            wrench=np.zeros((len(times) - 1, 3)),
+            point=np.zeros(2),
+        )
+        poses, tips = run_models(
+            obj,
+            models,
+            physics,
+            pose=q,
+            dts=measure_steps(push, times, physics.regime),
+            load=load,
+            table=edges,
+            approximate=approximate,
+        )
     upright = np.where(tips.any(axis=1), np.argmax(tips, axis=1), len(times))
     # The simulation says of every step whether the object tips in it, but not of the last pose.
     if edges is not None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.kernel_call import run_pushes, shifts_loads
+from gridpush_drake.dynamics.kernel_call import NO_SUPPORT, make_support, run_pushes, shifts_loads
 from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     CONTACT_FRICTION,
     POSE_THETA,
@@ -25,6 +25,7 @@ from gridpush_drake.dynamics.kernels.forward_sensitivity import (
 )
 from gridpush_drake.dynamics.kernels.inputs import Pushes
 from gridpush_drake.dynamics.kernels.scene.records import PusherPath, SceneSteps
+from gridpush_drake.dynamics.kernels.scene.step_derivative import PUSH_COLUMNS
 from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.motion import RawJacobian
 from gridpush_drake.dynamics.physics import Physics
@@ -38,7 +39,6 @@ from gridpush_drake.dynamics.scene.kernel_call import (
 )
 from gridpush_drake.dynamics.scene.simulation import check_shaped_push, count_scene_columns
 from gridpush_drake.dynamics.simulation import count_columns, find_edges_near
-from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -73,6 +73,7 @@ class _ShapedPush(NamedTuple):
         wanted: (R,) the poses among the T+1 that its rows are.
         row_of_step: (T+1,) the first row that is each pose, -1 for none.
         rows: (R,) the batch's rows that are this push's.
+        table: (K, 4) the table's edges, m; None where it is far.
     """
 
     place: int
@@ -82,6 +83,7 @@ class _ShapedPush(NamedTuple):
     wanted: IntArray
     row_of_step: IntArray
     rows: IntArray
+    table: Array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +129,7 @@ class PushBatch:
                 mm and 0.005 degrees at the end of 10 cm (`docs/theory/model.md`, section 10).
 
         Raises:
-            SimulationError: an object is not on its table, the regime is "auto", or a pusher of
-                another shape than a disc comes near an edge.
+            SimulationError: an object is not on its table, or the regime is "auto".
         """
         self.obj = obj
         self.physics = physics
@@ -169,13 +170,14 @@ class PushBatch:
         for one, steps, _ in self._run_shaped(params, differentiate=False):
             poses[one.rows] = steps.poses[one.wanted, 0]
             unsolved = (steps.statuses[:, 0] != STEP_CONVERGED).any()
-            touched[one.place] = unsolved or steps.modes.any()
+            touched[one.place] = unsolved or steps.modes.any() or steps.tips.any()
         return poses, touched
 
     @property
     def near_edge(self) -> bool:
         """Whether any of the pushes may come over a table's edge."""
-        return any(group.table is not None for group in self._groups)
+        tables = [group.table for group in self._groups] + [one.table for one in self._shaped]
+        return any(table is not None for table in tables)
 
     def differentiate(
         self, params: CellParameters, along: Array | None = None
@@ -220,30 +222,39 @@ class PushBatch:
         # the kernel's first columns: the cells' loads, the contact friction, and the start; and its
         # last ones: the object's first pose
         by_mass = params.friction * self.physics.gravity
-        for one, steps, J in self._run_shaped(params, differentiate=True):
+        poses_at = n + 1 + PUSH_COLUMNS
+        for one, steps, J in self._run_shaped(params, differentiate=True, along=along):
             poses[one.rows] = steps.poses[one.wanted, 0]
             own = J[one.row_of_step[one.wanted], 0]
-            derivatives[one.rows, :, :n] = own[..., :n] * by_mass
+            derivatives[one.rows, :, :n] = own[..., :n] * (by_mass if one.table is None else 1.0)
             derivatives[one.rows, :, n : n + 3] = own[..., n : n + 3]
-            derivatives[one.rows, :, n + 3 : n + 6] = own[..., -3:]
+            derivatives[one.rows, :, n + 3 : n + 6] = own[..., poses_at : poses_at + 3]
+            if one.table is not None and along is not None:
+                held = own[..., poses_at + 4 :] * params.friction - own[..., :n] * params.mass
+                derivatives[one.rows, :, n + 6 :] = held @ along
         return poses, derivatives
 
     def _run_shaped(
-        self, params: CellParameters, *, differentiate: bool
+        self, params: CellParameters, *, differentiate: bool, along: Array | None = None
     ) -> Iterator[tuple[_ShapedPush, SceneSteps, Array]]:
         """Simulates the pushes by other shapes; yields each with its steps and its J (R, 1, 3, w).
 
         Args:
             params: the cells' parameters.
             differentiate: whether the kernel's derivatives are wanted; w is 0 where not.
+            along: as of `differentiate`.
         """
         if not self._shaped:
             return
         bodies = Bodies(self.obj, params, self.physics)
         check_shaped_push(bodies)
         arrays = make_bodies(bodies)
-        width = count_scene_columns(bodies) if differentiate else 0
         for one in self._shaped:
+            width = 0
+            if differentiate:
+                width = count_scene_columns(
+                    bodies, shifted=one.table is not None, with_friction=along is not None
+                )
             J = np.empty((len(one.rows), 1, 3, width))
             steps = run_scene_kernel(
                 arrays,
@@ -254,15 +265,12 @@ class PushBatch:
                 dts=one.dts,
                 row_of_step=one.row_of_step,
                 J=J,
+                support=NO_SUPPORT if one.table is None else make_support(bodies, one.table),
             )
             yield one, steps, J
 
     def _make_shaped(self, place: int, one: BatchPush, near: Array | None) -> _ShapedPush:
-        """Prepares a push by a pusher that is no single disc; it may come over no table's edge."""
-        if near is not None:
-            raise SimulationError(
-                "table: loads shift under a pusher that is one disc only; expected its edge far off"
-            )
+        """Prepares a push by a pusher that is no single disc; `near` is (K, 4) edges, or None."""
         wanted, first = np.unique(one.rows, return_index=True)
         row_of_step = np.full(len(one.times), -1)
         row_of_step[wanted] = first
@@ -274,6 +282,7 @@ class PushBatch:
             wanted=one.rows,
             row_of_step=row_of_step,
             rows=np.arange(self.offsets[place], self.offsets[place + 1]),
+            table=near,
         )
 
     def _run(

@@ -169,14 +169,21 @@ def simulate(
     if isinstance(push, Push) and push.shape is not None:
         for name, asked in (
             ("velocity", nu.any()),
-            ("table", table is not None),
             ("gradients", gradients not in (False, True)),
         ):
             if asked:
                 raise SimulationError(f"{name}: is for a pusher that is one disc; expected none")
-        physics = bodies.physics.with_regime(regime)
+        bodies = bodies.with_physics(bodies.physics.with_regime(regime))
+        edges = find_edges_near(bodies.obj, push, q, table, inertial=False)
         return simulate_one(
-            bodies.with_physics(physics), push, q, dt, bool(gradients), times, record
+            bodies,
+            push,
+            q,
+            dt=dt,
+            gradients=bool(gradients),
+            times=times,
+            record=record,
+            edges=edges,
         )
     needs_inertia = bool(nu.any()) or gradients == "paper"
     if regime is not None:
@@ -428,10 +435,17 @@ def find_edges_near(
     if (
         not inertial
         and isinstance(push, Push)
-        and inside > obj.cell_size + MOVED_MOST * push.length
+        and inside > obj.cell_size + MOVED_MOST * _calc_farthest_way(push)
     ):
         return None  # so slow a push cannot bring the object to the edge
     return edges
+
+
+def _calc_farthest_way(push: Push) -> float:
+    """How far any point of the pusher may go, m; a shape that turns goes farther than its frame."""
+    if push.shape is None or push.yaw is None:
+        return push.length
+    return push.length + push.shape.reach * float(np.abs(np.diff(push.yaw)).sum())
 
 
 def get_edges(table: ArrayLike) -> Array:

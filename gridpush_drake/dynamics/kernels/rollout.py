@@ -194,7 +194,7 @@ def rollout(
         record.load_centers[t, 1] = np.nan
         record.tips[t] = False
         if support.active:
-            _shift_loads(law, body, support, state, loads, record, t)
+            shift_loads(law, body.cells, body.cell_size, support, state, loads, record, t)
 
         slow = not inertial or body_speed < _AT_REST * scheme.stiction
         if slow and force_speed == 0.0 and closing <= 0.0:
@@ -359,9 +359,9 @@ def rollout_pushes(law, body, support, edges, scheme, pushes, row_of_step, poses
 
 
 @kernel(allocates=False)
-def _shift_loads(law, body, support, state, loads, record, t):
+def shift_loads(law, cells, cell_size, support, state, loads, record, t):
     """Calculates what the cells bear in step t, and records its center."""
-    held = find_loads(support, body.cells, body.cell_size, state, loads, law.k)
+    held = find_loads(support, cells, cell_size, state, loads, law.k)
     renew(law)
     center = loads.center
     record.load_centers[t, 0] = state.x + state.c * center[0] - state.s * center[1]

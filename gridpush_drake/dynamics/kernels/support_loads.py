@@ -160,7 +160,7 @@ def find_loads(support, cells, cell_size, state, loads, k):
         cells: (2, n) cell centers, m.
         cell_size: m.
         state: `State`, where the body is.
-        loads: `Loads`; tilt and friction of the step before in, share, slope, tilt, center, mean
+        loads: `Loads`; tilt and friction of the step before in, fraction, slope, tilt, center, mean
             and inverse out.
         k: (n,) out: the friction each cell can carry, N.
 
@@ -175,7 +175,7 @@ def find_loads(support, cells, cell_size, state, loads, k):
     slope = loads.slope
     center = loads.center
 
-    # sigma_i, in `share` until the tilt is known.
+    # sigma_i, in `fraction` until the tilt is known.
     near = _fill_covered_fractions(support.table, cells, cell_size, reach, state, fraction, slope)
 
     # p* = c + h F / W, and the tilt that puts the loads' center there.

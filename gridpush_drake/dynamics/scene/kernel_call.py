@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.bodies import Bodies
+from gridpush_drake.dynamics.kernel_call import NO_SUPPORT
 from gridpush_drake.dynamics.kernels.contact.contact import Edges
 from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
 from gridpush_drake.dynamics.kernels.scene.body_laws import copy_laws, join_laws
@@ -26,6 +27,7 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     Tool,
 )
 from gridpush_drake.dynamics.kernels.scene.rollout import rollout_scene
+from gridpush_drake.dynamics.kernels.support_loads import Support
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import PusherShape
@@ -218,6 +220,7 @@ def run_scene_kernel(
     dts: Array,
     row_of_step: IntArray,
     J: Array,
+    support: Support = NO_SUPPORT,
 ) -> SceneSteps:
     """Simulates T steps.
 
@@ -230,6 +233,7 @@ def run_scene_kernel(
         dts: (T,) steps as `push.measure_steps` has them.
         row_of_step: (T+1,) row of J that records this step, -1 for none.
         J: (rows, N, 3, width) filled; without columns where no derivative is wanted.
+        support: what the loads of one object depend on; by default none shift.
 
     Returns:
         The record.
@@ -249,12 +253,15 @@ def run_scene_kernel(
         finger_gaps=np.empty(steps + 1),
         statuses=np.empty((steps, 2), np.int64),
         residuals=np.empty((steps, 2)),
+        load_centers=np.full((steps, 2), np.nan),
+        tips=np.zeros(steps, np.bool_),
     )
     tolerances = Tolerances(
         ahead=physics.ahead, relative_stiction=float(physics.relative_stiction_tolerance)
     )
     rollout_scene(
         bodies=bodies._replace(laws=copy_laws(bodies.laws)),
+        support=support,
         pusher=pusher,
         tolerances=tolerances,
         state=state,

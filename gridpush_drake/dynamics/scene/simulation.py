@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.bodies import Bodies, describe_object
+from gridpush_drake.dynamics.kernel_call import NO_SUPPORT, make_support
 from gridpush_drake.dynamics.kernels.scene.records import SceneSteps
 from gridpush_drake.dynamics.kernels.scene.step_derivative import PUSH_COLUMNS
 from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
@@ -54,6 +55,7 @@ def simulate_together(
     gradients: bool = False,
     times: ArrayLike | None = None,
     record: ArrayLike | None = None,
+    edges: Array | None = None,
 ) -> Motion:
     """Simulates one push of several objects, quasi-statically.
 
@@ -66,6 +68,7 @@ def simulate_together(
         gradients: whether the exact Jacobian of every recorded pose is added.
         times: (T+1,) the steps' times, s.
         record: indices of the poses whose Jacobian is wanted.
+        edges: (K, 4) edges of the table, m, for one object alone; None where it is endless, or far.
 
     Returns:
         The motion; its arrays have an axis for the objects, even where there is one.
@@ -87,7 +90,10 @@ def simulate_together(
     row_of_step[rows] = np.arange(len(rows))
     J = np.empty((0, n, 3, 0))
     if gradients:
-        width = count_scene_columns(bodies, push.shape is not None)
+        shifted = edges is not None
+        width = count_scene_columns(
+            bodies, push.shape is not None, shifted=shifted, with_friction=shifted
+        )
         J = np.empty((len(rows), n, 3, width))
 
     # The kernel, from rest.
@@ -102,6 +108,7 @@ def simulate_together(
         dts=dts,
         row_of_step=row_of_step,
         J=J,
+        support=NO_SUPPORT if edges is None else make_support(bodies, edges),
     )
     # Rows beyond a step's contacts tell nothing; as many are kept as the step with most has.
     room = int(result.counts.max(initial=0))
@@ -120,15 +127,15 @@ def simulate_together(
         modes=result.modes[:, :room],
         gaps=result.finger_gaps,
         status=_find_status(result, int(contacts.lost[0])),
-        load_centers=np.full((steps, n, 2), np.nan),
-        tips=np.zeros((steps, n), dtype=bool),
+        load_centers=np.repeat(result.load_centers[:, None], n, axis=1),
+        tips=np.repeat(result.tips[:, None], n, axis=1),
         iterations=result.statuses[:, 1],
         physics=used,
         contact_bodies=pairs,
         contact_gaps=result.gaps[:, :room],
         residuals=result.residuals,
         yaw=None if push.yaw is None else path.yaw,
-        _jacobian=expand_columns(bodies, J, rows) if gradients else None,
+        _jacobian=expand_columns(bodies, J, rows, edges is not None) if gradients else None,
     )
 
 
@@ -140,6 +147,7 @@ def simulate_one(
     gradients: bool = False,
     times: ArrayLike | None = None,
     record: ArrayLike | None = None,
+    edges: Array | None = None,
 ) -> Motion:
     """Simulates one push of one object by a pusher of any shape, quasi-statically.
 
@@ -150,7 +158,14 @@ def simulate_one(
     """
     # as one of several, and then without the axis of the objects
     motion = simulate_together(
-        check_shaped_push(bodies), push, pose[None], dt, gradients, times, record
+        check_shaped_push(bodies),
+        push,
+        pose[None],
+        dt=dt,
+        gradients=gradients,
+        times=times,
+        record=record,
+        edges=edges,
     )
     jacobian = None
     if isinstance(motion._jacobian, Jacobian):
@@ -186,9 +201,7 @@ def check_shaped_push(bodies: Bodies) -> Bodies:
             "regime: 'inertial' is for a pusher that is one disc; expected 'quasi_static'"
         )
     if bodies.params.push_height > 0:
-        raise SimulationError(
-            "push_height: loads shift under a pusher that is one disc only; expected 0"
-        )
+        raise SimulationError("push_height: is for a pusher that is one disc; expected 0")
     check_table_friction(bodies.params, physics.gravity, "")
     return bodies.with_physics(replace(physics, regime="quasi_static"))
 
@@ -218,28 +231,43 @@ def check_together(bodies: Bodies) -> Bodies:
     return bodies.with_physics(replace(physics, regime="quasi_static"))
 
 
-def count_scene_columns(bodies: Bodies, varied: bool = False) -> int:
+def count_scene_columns(
+    bodies: Bodies, varied: bool = False, *, shifted: bool = False, with_friction: bool = False
+) -> int:
     """Counts the kernel's columns of derivatives, see `kernels.scene.step_derivative`.
 
     Args:
         bodies: the objects.
         varied: whether the path of the pusher is varied, see `make_pusher_path`.
+        shifted: whether the loads of one object shift.
+        with_friction: whether the cells' frictions are then wanted beside their masses.
     """
     # by the cells' loads, by each kind of friction, by the push, and by the first poses
     n = len(bodies)
     cells = sum(obj.n for obj in bodies.objects)
     by_push = PUSH_COLUMNS + (PATH_VARIATIONS if varied else 0)
-    return cells + n + n * (n - 1) // 2 + by_push + 3 * n
+    by_loads = count_load_columns(cells, with_friction) if shifted else 0
+    return cells + n + n * (n - 1) // 2 + by_push + 3 * n + by_loads
 
 
-def expand_columns(bodies: Bodies, J: Array, rows: IntArray) -> Jacobian:
-    """Makes named blocks of the kernel's columns J (R, N, 3, width), by k_i = mu_i m_i g."""
+def count_load_columns(n: int, with_friction: bool) -> int:
+    """Counts the last columns of one object of n cells whose loads shift; the first stays zero."""
+    return 1 + (n if with_friction else 0)
+
+
+def expand_columns(bodies: Bodies, J: Array, rows: IntArray, shifted: bool = False) -> Jacobian:
+    """Makes named blocks of the kernel's columns J (R, N, 3, width), by k_i = mu_i m_i g.
+
+    Where loads shift, the columns are by masses and frictions already.
+    """
     # the columns, in the kernel's order
     n = len(bodies)
     cells = sum(obj.n for obj in bodies.objects)
     pairs = n * (n - 1) // 2
     ends = np.cumsum([cells, n, pairs, 2, 1, 1])
-    load, finger, pair, start, direction, length, rest = np.split(J, ends, axis=-1)
+    by_loads = count_load_columns(cells, with_friction=True) if shifted else 0
+    own = J[..., : J.shape[-1] - by_loads]
+    load, finger, pair, start, direction, length, rest = np.split(own, ends, axis=-1)
     varied = rest[..., : -3 * n]
     pose = rest[..., -3 * n :]
     by_pair = np.zeros((*J.shape[:3], n, n))
@@ -253,8 +281,8 @@ def expand_columns(bodies: Bodies, J: Array, rows: IntArray) -> Jacobian:
     friction = np.concatenate([params.friction for params in bodies.parameters])
     return Jacobian(
         steps=rows,
-        mass=load * (friction * gravity),
-        friction=load * (mass * gravity),
+        mass=load if shifted else load * (friction * gravity),
+        friction=J[..., own.shape[-1] + 1 :] if shifted else load * (mass * gravity),
         contact_friction=finger,
         start=start,
         direction=direction[..., 0],
@@ -285,6 +313,8 @@ def _calc_velocities(result: SceneSteps, rates: Array) -> Array:
 def _find_status(result: SceneSteps, lost: int) -> MotionStatus:
     if (result.statuses[:, 0] != STEP_CONVERGED).any() or lost > 0:
         return MotionStatus.NOT_CONVERGED
+    if result.tips.any():
+        return MotionStatus.TIPS
     room = int(result.counts.max(initial=0))
     with_finger = result.ids[:, :room, 1] < 0
     if not (result.modes[:, :room][with_finger] != 0).any():

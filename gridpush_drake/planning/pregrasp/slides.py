@@ -232,7 +232,7 @@ def plan_slide(
         surface=surface,
         kept_margin=kept - ROUND_OFF_MARGIN,
         checker=constraints.start_at(
-            masses.obj, q, options.contact.pusher.choose_radius(masses.obj)
+            masses.obj, q, options.contact.pusher.choose_reach(masses.obj)
         ),
         options=options,
     )
@@ -429,6 +429,7 @@ class _SlideWeighing:
             planned.angle,
             distance,
             radius=planned.push.radius,
+            shape=planned.push.shape,
             speed=planned.push.length / planned.push.duration,
             pose=self.pose,
             clearance=self.options.contact.pusher.clearance,

@@ -8,12 +8,14 @@ import pytest
 from gridpush_drake.dynamics.model_batch import simulate_models
 from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, QUASI_STATIC
 from gridpush_drake.dynamics.push import DEFAULT_TIP_STEP, Push, make_path_times
+from gridpush_drake.dynamics.pusher import Pusher, PusherShape
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.contact.optimization import optimize_contact
+from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
 from gridpush_drake.planning.edge_motion import (
     COMPARED_TIP_STEP,
     follow_near_edge,
@@ -191,3 +193,26 @@ def test_a_push_is_given_up_once_too_many_draws_leave_nothing_of_it(slide_task, 
     assert followed
     assert set(followed) == {slides.BLOCK_SIZE}
     assert len(followed) <= SlideOptions().proposals
+
+
+def test_a_push_that_is_cut_keeps_its_pushers_shape_and_angle(slide_task):
+    plate = PusherShape.plate(width=0.05, thickness=0.02, radius=0.003)
+    contact = ContactOptions(pusher=Pusher(shape=plate), starts=2, budget=4)
+    pose = slide_task["pose"]
+    model = Model(slide_task["masses"].obj, slide_task["params"])
+    planned = optimize_contact(model, pose, pose + [0.05, 0.0, 0.0], options=contact).candidates[0]
+    weighing = slides._SlideWeighing(
+        masses=slide_task["masses"],
+        models=(slide_task["params"],),
+        pose=pose,
+        surface=TABLE,
+        kept_margin=0.0,
+        checker=slides.PushConstraints().start_at(model.obj, pose, plate.reach),
+        options=SlideOptions(contact=contact),
+    )
+    cut = weighing._make_push(planned, planned.distance / 2)
+    assert cut.shape == plate
+    assert cut.yaw is not None and planned.push.yaw is not None
+    np.testing.assert_allclose(cut.yaw[0], planned.push.yaw[0])
+    np.testing.assert_allclose(cut.start, planned.push.start)
+    np.testing.assert_allclose(cut.length, planned.distance / 2)

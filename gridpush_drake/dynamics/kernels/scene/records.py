@@ -217,6 +217,8 @@ class SceneSteps(NamedTuple):
         statuses: (T, 2) status and iterations.
         residuals: (T, 2) of the balance of forces and of the contact conditions, see
             `kernels.scene.step`.
+        load_centers: (T, 2) of what the cells of one body bear, m; NaN where loads do not shift.
+        tips: (T,) whether no loads can hold it.
     """
 
     poses: Any
@@ -230,3 +232,5 @@ class SceneSteps(NamedTuple):
     finger_gaps: Any
     statuses: Any
     residuals: Any
+    load_centers: Any
+    tips: Any

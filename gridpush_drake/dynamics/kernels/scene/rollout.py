@@ -17,6 +17,7 @@ from gridpush_drake.dynamics.kernels.integrate_pose import (
     calc_displacement_maps,
     calc_turn,
 )
+from gridpush_drake.dynamics.kernels.rollout import shift_loads
 from gridpush_drake.dynamics.kernels.scene.body_laws import take_law
 from gridpush_drake.dynamics.kernels.scene.contact_rows import SceneScales
 from gridpush_drake.dynamics.kernels.scene.contacts import (
@@ -53,17 +54,23 @@ from gridpush_drake.dynamics.kernels.scene.step_derivative import (
 )
 from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.kernels.step_memory import MIN_MOVING_STEPS
+from gridpush_drake.dynamics.kernels.step_start import make_state
+from gridpush_drake.dynamics.kernels.support_loads import make_loads
 
 _TINY_SPEED = 1e-12
 """Added to the scale of speeds, m/s, so that it is never zero."""
 
 
 @kernel()
-def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step, record, J):
+def rollout_scene(
+    bodies, support, pusher, tolerances, state, contacts, dts, row_of_step, record, J
+):
     """Simulates T steps.
 
     Args:
         bodies: `BodyArrays`.
+        support: `Support`; active of one body only, whose law's k is then changed from step to
+            step.
         pusher: `PusherPath`.
         tolerances: `Tolerances`.
         state: `SceneState` at the beginning; that of the end when it is done.
@@ -92,8 +99,9 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
     shift = np.zeros((n, 2))
     work = make_step_work(n, room)
     derivative = make_derivative(
-        n, cells if differentiate else 0, room if differentiate else 0, width
+        n, cells if differentiate else 0, room if differentiate else 0, width, support.active
     )
+    loads = make_loads(support)
 
     for b in range(n):
         state.turn[b, 0] = cos(state.q[b, 2])
@@ -102,13 +110,17 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
         for i in range(3):
             record.poses[0, b, i] = state.q[b, i]
     if differentiate:
-        start_columns(derivative.S)
+        start_columns(bodies, pusher, derivative.S)
         _record_columns(J, row_of_step[0], derivative.S)
 
     for t in range(dts.shape[0]):
         dt = dts[t]
         h = tolerances.ahead * dt
         motion = _move_tool(pusher, t, t + 1, dt)
+
+        # What each cell bears now (section 8 of the theory).
+        if support.active:
+            _shift_loads(bodies, support, state, no_force, loads, record, t)
 
         # Who touches whom, and whom that sets in motion.
         record.finger_gaps[t] = find_scene_contacts(
@@ -165,6 +177,7 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
         if differentiate:
             step_columns(
                 bodies,
+                support,
                 state,
                 pusher,
                 motion,
@@ -173,6 +186,7 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
                 xi,
                 dt,
                 shift,
+                loads,
                 derivative,
             )
         _record_contacts(record, t, state, contacts, shift, h, tolerances.ahead)
@@ -215,6 +229,14 @@ def _begin_push(bodies, b):
     """Lets the law of body b forget another push."""
     law, _ = take_law(bodies, b)
     begin_push(law)
+
+
+@kernel(allocates=False)
+def _shift_loads(bodies, support, state, at_rest, loads, record, t):
+    """Calculates what the cells of the one body bear in step t; `at_rest` is (3,) zeros."""
+    law, cells = take_law(bodies, 0)
+    place = make_state(state.q[0], at_rest, 0.0, 0.0)
+    shift_loads(law, cells, bodies.cell_size[0], support, place, loads, record, t)
 
 
 @kernel(allocates=False)

@@ -10,11 +10,15 @@ parameter, are then carried over the step: s = (dx, dtheta) in W and the twist's
 body.
 
 Inputs of a step, in this order: poses (W) and twists (body frame) of the N bodies, place,
-velocity, yaw and angular velocity of the pusher, N frictions with the pusher, and those of the P
-pairs (i, j), i < j.
+velocity, yaw and angular velocity of the pusher, N frictions with the pusher, those of the P pairs
+(i, j), i < j, and the sum of all k, by which contacts are soft.
 
 Columns of the push: k of all M cells | N frictions with the pusher | P of pairs | start x, start y,
 direction, length | the variations of the path that `PusherPath` names | first poses.
+
+Where the loads of one body shift (`support_loads`), its cells' columns are those of m_1..m_n, and
+after the first pose there is one for h, which stays zero, and, where they are wanted, n for
+mu_1..mu_n.
 """
 
 from typing import Any, NamedTuple
@@ -65,6 +69,7 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     ROW_NY,
     SECOND_BODY,
 )
+from gridpush_drake.dynamics.kernels.support_loads import add_load_variations, fill_load_columns
 
 _DELTA = 1e-30
 """Imaginary step of the derivatives. Its square vanishes beside every number here."""
@@ -92,6 +97,8 @@ class Derivative(NamedTuple):
         z, out: complex workspace of `contact_terms`.
         G: (N, 3, 3) the displacement's derivative by the twist, in the new body frame.
         A: (3, 3) workspace.
+        Q: (11, width) of `support_loads`: rows 0-2 the pose's variations seen from the body, rows
+            6-8 the force of each column; without columns where loads do not shift.
     """
 
     F: Any
@@ -103,11 +110,15 @@ class Derivative(NamedTuple):
     out: Any
     G: Any
     A: Any
+    Q: Any
 
 
 @kernel()
-def make_derivative(n, cells, room, width):
-    """Makes the workspace for n bodies of so many cells in all, and `width` columns."""
+def make_derivative(n, cells, room, width, shifted):
+    """Makes the workspace for n bodies of so many cells in all, and `width` columns.
+
+    `shifted` says whether loads shift.
+    """
     inputs = count_inputs(n)
     return Derivative(
         F=np.zeros((3 * n, inputs + 3 * n)),
@@ -119,13 +130,14 @@ def make_derivative(n, cells, room, width):
         out=np.zeros(OUTPUT_COUNT, np.complex128),
         G=np.zeros((n, 3, 3)),
         A=np.zeros((3, 3)),
+        Q=np.zeros((11, width if shifted else 0)),
     )
 
 
 @kernel(allocates=False)
 def count_inputs(n):
     """Counts the inputs of a step of n bodies."""
-    return 6 * n + TIP_COUNT + n + (n * (n - 1)) // 2
+    return 6 * n + TIP_COUNT + n + (n * (n - 1)) // 2 + 1
 
 
 @kernel(allocates=False)
@@ -273,6 +285,14 @@ def _add_contact(bodies, state, motion, contacts, r, row, h, dt, scales, xi, der
         V[row, column] += out[APPROACH_OUTPUT].imag / _DELTA
         if mode == STICK:
             V[row + 1, column] += out[SLIP_OUTPUT].imag / _DELTA
+    # The softer a contact, the smaller all that the cells can carry.
+    finger, pair = calc_compliance(contacts, scales)
+    softness = (finger if j < 0 else pair) / scales.load
+    by_load = count_inputs(n) - 1
+    lam = contacts.lam[r]
+    V[row, by_load] -= softness * lam[0]
+    if mode == STICK:
+        V[row + 1, by_load] -= softness * lam[1]
     if j >= 0 or not scales.disc:
         _add_pusher_speed(motion, contacts, r, n, row, dt, scales, V)
     if mode != STICK:
@@ -344,24 +364,35 @@ def _add_friction(numbers, i, j, n, slide, F):
 
 
 @kernel(allocates=False)
-def start_columns(S):
+def start_columns(bodies, pusher, S):
     """Fills in the variations at the beginning: every pose varies by itself.
 
     Args:
+        bodies: `BodyArrays`.
+        pusher: `PusherPath`.
         S: (6N, width) zeros.
     """
     n = S.shape[0] // 6
-    first = S.shape[1] - 3 * n
+    first = _count_before_poses(bodies, pusher)
     for row in range(3 * n):
         S[row, first + row] = 1.0
 
 
 @kernel(allocates=False)
-def step_columns(bodies, state, pusher, motion, t, eps, xi, dt, shift, derivative):
+def _count_before_poses(bodies, pusher):
+    """Counts the columns before those of the first poses."""
+    n = bodies.cell_size.shape[0]
+    frictions = n + (n * (n - 1)) // 2
+    return bodies.first_cell[n] + frictions + PUSH_COLUMNS + pusher.variations.shape[0]
+
+
+@kernel(allocates=False)
+def step_columns(bodies, support, state, pusher, motion, t, eps, xi, dt, shift, loads, derivative):
     """Carries every column over one step.
 
     Args:
         bodies: `BodyArrays`.
+        support: `Support`.
         state: `SceneState` at the step's beginning.
         pusher: `PusherPath`.
         motion: `ToolMotion` of the step.
@@ -370,6 +401,7 @@ def step_columns(bodies, state, pusher, motion, t, eps, xi, dt, shift, derivativ
         xi: (N, 3) twists of the step.
         dt: the step, s.
         shift: (N, 2) the displacements of the step, W, m.
+        loads: `Loads` of the step.
         derivative: `Derivative`; its S is carried on.
     """
     n = xi.shape[0]
@@ -395,7 +427,10 @@ def step_columns(bodies, state, pusher, motion, t, eps, xi, dt, shift, derivativ
                 out[column] += factor * variation[column]
 
     # The cells: each acts on its own body by the force -f.
-    for b in range(n):
+    if support.active:
+        others = _count_before_poses(bodies, pusher) + 3 - cells
+        _add_shifting_loads(bodies, support, state, eps, xi, loads, others, derivative)
+    for b in range(0 if support.active else n):
         first = bodies.first_cell[b]
         last = bodies.first_cell[b + 1]
         forces = derivative.f[:, first:last]
@@ -405,11 +440,13 @@ def step_columns(bodies, state, pusher, motion, t, eps, xi, dt, shift, derivativ
             y0 = F[row, inputs + 3 * b]
             y1 = F[row, inputs + 3 * b + 1]
             y2 = F[row, inputs + 3 * b + 2]
-            if y0 == 0.0 and y1 == 0.0 and y2 == 0.0:
+            by_load = F[row, inputs - 1]
+            if y0 == 0.0 and y1 == 0.0 and y2 == 0.0 and by_load == 0.0:
                 continue
             out = dxi[row]
             for i in range(last - first):
-                out[first + i] -= y0 * forces[0, i] + y1 * forces[1, i] + y2 * forces[2, i]
+                by_force = y0 * forces[0, i] + y1 * forces[1, i] + y2 * forces[2, i]
+                out[first + i] += by_load - by_force
 
     # The frictions of the contacts, and the pusher's path.
     tip = 6 * n
@@ -463,3 +500,45 @@ def step_columns(bodies, state, pusher, motion, t, eps, xi, dt, shift, derivativ
     for row in range(3 * n):
         for column in range(width):
             S[3 * n + row, column] = dxi[row, column]
+
+
+@kernel(allocates=False)
+def _add_shifting_loads(bodies, support, state, eps, xi, loads, others, derivative):
+    """Adds to the twist's variations what the loads of one body do, which shift with its pose.
+
+    Args:
+        bodies, support, state, eps, xi, loads: as of `step_columns`.
+        others: columns between those of the masses and h.
+        derivative: `Derivative`; the twist's variations, in next_S, are added to.
+    """
+    F = derivative.F
+    S = derivative.S
+    Q = derivative.Q
+    c = state.turn[0, 0]
+    s = state.turn[0, 1]
+    law, cells = take_law(bodies, 0)
+    n = cells.shape[1]
+    width = S.shape[1]
+    for column in range(width):
+        Q[0, column] = c * S[0, column] + s * S[1, column]
+        Q[1, column] = c * S[1, column] - s * S[0, column]
+        Q[2, column] = S[2, column]
+        for row in range(6, 11):
+            Q[row, column] = 0.0
+    fill_load_derivatives(law, cells, eps, xi[0], Q[6:9, :n])
+    fill_load_columns(support, cells, loads, law.k, Q, others)
+    add_load_variations(loads, Q)
+    inputs = count_inputs(1)
+    for row in range(3):
+        out = derivative.next_S[row]
+        y0 = F[row, inputs]
+        y1 = F[row, inputs + 1]
+        y2 = F[row, inputs + 2]
+        for column in range(width):
+            out[column] -= y0 * Q[6, column] + y1 * Q[7, column] + y2 * Q[8, column]
+        # and by the sum of all m_i mu_i g
+        by_load = F[row, inputs - 1] * support.weight / support.mass.sum()
+        for i in range(n):
+            out[i] += by_load * support.friction[i]
+        for i in range(width - n - others - 1):
+            out[n + others + 1 + i] += by_load * support.mass[i]
