@@ -159,7 +159,7 @@ class Physics:
 
     def with_regime(self, regime: Regime | None) -> "Physics":
         """Replaces the regime; None leaves it as it is."""
-        return self if regime is None else replace(self, regime=regime)
+        return self if regime in (None, self.regime) else replace(self, regime=regime)
 
     def resolve(self, obj: GridObject, friction: float, speed: float) -> "Physics":
         """Replaces "auto" by the regime that suits pushes of a given speed.

@@ -261,7 +261,7 @@ class PushBatch:
                 self.physics,
                 pusher=one.path,
                 state=make_scene_state(one.pose),
-                contacts=make_scene_contacts(1),
+                contacts=make_scene_contacts(1, one.path.tool),
                 dts=one.dts,
                 row_of_step=one.row_of_step,
                 J=J,

@@ -50,6 +50,9 @@ KEPT_SHAPES = 16
 CONTACTS_A_BODY = 16
 """Contacts within reach for which there is room, for each body."""
 
+CONTACTS_A_DISC = 2
+"""Most contacts of a disc with an outline."""
+
 
 def make_bodies(bodies: Bodies) -> BodyArrays:
     """Collects what the kernels know of several objects."""
@@ -140,9 +143,14 @@ def make_scene_state(poses: Array) -> BodyStates:
     )
 
 
-def make_scene_contacts(n: int) -> Contacts:
-    """Makes room for the contacts of n bodies; none is there."""
+def make_scene_contacts(n: int, tool: Tool | None = None) -> Contacts:
+    """Makes room for the contacts of n bodies; none is there.
+
+    A body alone needs less room where the pusher is known to be a `tool` of discs.
+    """
     room = CONTACTS_A_BODY * n
+    if n == 1 and tool is not None and not tool.joined:
+        room = min(room, CONTACTS_A_DISC * len(tool.core.ax))
     return Contacts(
         ids=np.zeros((room, IDENTITY_SIZE), np.int64),
         numbers=np.zeros((room, CONTACT_SIZE)),
@@ -188,19 +196,17 @@ def make_pusher_path(push: Push, times: Array, varied: bool = False) -> PusherPa
     variations = np.zeros((ways, len(times), 3))
     yaw = push.yaw_at(times)
     if ways and push.yaw is not None:
-        # every sample of the path varies; between samples, the path is straight
+        variations[YAW, :, 2] = 1.0
         turned = push.yaw - push.yaw[0]
-        moves = np.zeros((ways, len(turned), 3))
-        moves[YAW, :, 2] = 1.0
+        # every sample of the path varies; between samples, the path is straight
         if turned[-1] != 0:
-            moves[TURN, :, 2] = turned / turned[-1]
+            variations[TURN, :, 2] = np.interp(times, push.t, turned / turned[-1])
         # Moves e of the center of rotation, from which the start does not move: (1 - R) e.
-        for axis in (0, 1):
+        for axis in (0, 1) if turned.any() else ():
             e = np.eye(2)[axis]
-            moves[CENTER_X + axis, :, :2] = e - rotate(turned, e)
-        for way, move in enumerate(moves):
-            for a in range(3):
-                variations[way, :, a] = np.interp(times, push.t, move[:, a])
+            moves = e - rotate(turned, e)
+            for a in (0, 1):
+                variations[CENTER_X + axis, :, a] = np.interp(times, push.t, moves[:, a])
     return PusherPath(
         tip=push.tip_at(times),
         yaw=yaw,

@@ -98,7 +98,7 @@ def simulate_together(
 
     # The kernel, from rest.
     path = make_pusher_path(push, times, gradients)
-    contacts = make_scene_contacts(n)
+    contacts = make_scene_contacts(n, path.tool)
     result = run_scene_kernel(
         make_bodies(bodies),
         used,
@@ -203,7 +203,7 @@ def check_shaped_push(bodies: Bodies) -> Bodies:
     if bodies.params.push_height > 0:
         raise SimulationError("push_height: is for a pusher that is one disc; expected 0")
     check_table_friction(bodies.params, physics.gravity, "")
-    return bodies.with_physics(replace(physics, regime="quasi_static"))
+    return bodies.with_physics(physics.with_regime("quasi_static"))
 
 
 def check_table_friction(params: CellParameters, gravity: float, name: str) -> None:
@@ -228,7 +228,7 @@ def check_together(bodies: Bodies) -> Bodies:
         asked = f"{name}: push_height"
         refuse_several(SimulationError, "push_height", params.push_height > 0, asked)
         check_table_friction(params, physics.gravity, f"{name}: ")
-    return bodies.with_physics(replace(physics, regime="quasi_static"))
+    return bodies.with_physics(physics.with_regime("quasi_static"))
 
 
 def count_scene_columns(
@@ -264,17 +264,17 @@ def expand_columns(bodies: Bodies, J: Array, rows: IntArray, shifted: bool = Fal
     n = len(bodies)
     cells = sum(obj.n for obj in bodies.objects)
     pairs = n * (n - 1) // 2
-    ends = np.cumsum([cells, n, pairs, 2, 1, 1])
-    by_loads = count_load_columns(cells, with_friction=True) if shifted else 0
-    own = J[..., : J.shape[-1] - by_loads]
-    load, finger, pair, start, direction, length, rest = np.split(own, ends, axis=-1)
-    varied = rest[..., : -3 * n]
-    pose = rest[..., -3 * n :]
+    # where the columns of the push, of the first poses and of shifting loads begin
+    at_push = cells + n + pairs
+    at_loads = J.shape[-1] - (count_load_columns(cells, with_friction=True) if shifted else 0)
+    at_pose = at_loads - 3 * n
+    load = J[..., :cells]
+    varied = J[..., at_push + PUSH_COLUMNS : at_pose]
     by_pair = np.zeros((*J.shape[:3], n, n))
-    # one number stands in two places of the matrix
-    i, j = np.triu_indices(n, 1)
-    by_pair[..., i, j] = pair
-    by_pair[..., j, i] = pair
+    if pairs:
+        # one number stands in two places of the matrix
+        i, j = np.triu_indices(n, 1)
+        by_pair[..., i, j] = by_pair[..., j, i] = J[..., cells + n : at_push]
     # by mass and by friction through k
     gravity = bodies.physics.gravity
     mass = np.concatenate([params.mass for params in bodies.parameters])
@@ -282,12 +282,12 @@ def expand_columns(bodies: Bodies, J: Array, rows: IntArray, shifted: bool = Fal
     return Jacobian(
         steps=rows,
         mass=load if shifted else load * (friction * gravity),
-        friction=J[..., own.shape[-1] + 1 :] if shifted else load * (mass * gravity),
-        contact_friction=finger,
-        start=start,
-        direction=direction[..., 0],
-        length=length[..., 0],
-        pose=pose.reshape(*J.shape[:3], n, 3),
+        friction=J[..., at_loads + 1 :] if shifted else load * (mass * gravity),
+        contact_friction=J[..., cells : cells + n],
+        start=J[..., at_push : at_push + 2],
+        direction=J[..., at_push + 2],
+        length=J[..., at_push + 3],
+        pose=J[..., at_pose:at_loads].reshape(*J.shape[:3], n, 3),
         pair_friction=by_pair,
         yaw=varied[..., YAW] if varied.shape[-1] else None,
         turn=varied[..., TURN] if varied.shape[-1] else None,

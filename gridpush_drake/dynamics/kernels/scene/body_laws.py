@@ -57,12 +57,15 @@ def join_laws(parts: Sequence[Any], again: Any) -> tuple[Any, Any]:
             f"friction law: an array of {first.ndim} dimensions; expected {MAX_DIMENSIONS} or "
             "fewer, for several objects"
         )
-    ends = np.cumsum([part.size for part in parts])
-    shapes = [(*part.shape, *[1] * (MAX_DIMENSIONS - part.ndim)) for part in parts]
     entries = np.concatenate([part.ravel() for part in parts])
-    places = np.column_stack([np.append(0, ends[:-1]), ends, shapes])
+    places = []
+    begin = 0
+    for part in parts:
+        end = begin + part.size
+        places.append([begin, end, *part.shape, *[1] * (MAX_DIMENSIONS - part.ndim)])
+        begin = end
     # as many dimensions as each array has, which tells the compiler how to shape them
-    return entries.reshape(*[1] * (first.ndim - 1), -1), places
+    return entries.reshape(*[1] * (first.ndim - 1), -1), np.array(places)
 
 
 def copy_laws(entries: Any) -> Any:

@@ -7,10 +7,12 @@ sines and cosines alone. So
     d f / d z = Im f(z + i delta) / delta
 
 for any delta, exact to round-off where delta is so small that its square vanishes: nothing is
-subtracted. That is how `step_derivative` differentiates a step by what it starts from.
+subtracted. That is how `step_derivative` differentiates a step by what it starts from. The sine and
+the cosine of such a number are as short, cos(x + i y) = cos x - i y sin x.
 """
 
-from cmath import cos, sin, sqrt
+from cmath import sqrt
+from math import cos, sin
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.scene.contacts import name_touched_vertex
@@ -79,8 +81,7 @@ def calc_contact_terms(z, bodies, ids, numbers, tool, h, dt, xi, lam, out):
     x = z[POSE_INPUT]
     y = z[POSE_INPUT + 1]
     theta = z[POSE_INPUT + 2]
-    c = cos(theta)
-    s = sin(theta)
+    c, s = _turn(theta)
     u = z[TWIST_INPUT]
     v = z[TWIST_INPUT + 1]
     w = z[TWIST_INPUT + 2]
@@ -88,6 +89,7 @@ def calc_contact_terms(z, bodies, ids, numbers, tool, h, dt, xi, lam, out):
     other_w = z[OTHER_TWIST + 2]
     normal_force = lam[0]
     tangential_force = lam[1]
+    per_dt = 1.0 / dt
 
     # The disc's center t and velocity v, seen from the first body: that at a vertex p of the
     # pusher, or of the second body, which moves as it did.
@@ -101,12 +103,11 @@ def calc_contact_terms(z, bodies, ids, numbers, tool, h, dt, xi, lam, out):
         first = bodies.first_edge[i]
         px = tool.core.ax[ids[VERTEX]]
         py = tool.core.ay[ids[VERTEX]]
-        tool_c = cos(z[TIP_YAW])
-        tool_s = sin(z[TIP_YAW])
+        tool_c, tool_s = _turn(z[TIP_YAW])
         # their mean change in the step
-        next_yaw = z[TIP_YAW] + z[TIP_RATE] * dt
-        turn_vc = (cos(next_yaw) - tool_c) / dt
-        turn_vs = (sin(next_yaw) - tool_s) / dt
+        next_c, next_s = _turn(z[TIP_YAW] + z[TIP_RATE] * dt)
+        turn_vc = (next_c - tool_c) * per_dt
+        turn_vs = (next_s - tool_s) * per_dt
         world_x = z[TIP_INPUT] + (tool_c * px - tool_s * py)
         world_y = z[TIP_INPUT + 1] + (tool_s * px + tool_c * py)
         world_vx = z[TIP_VELOCITY] + (turn_vc * px - turn_vs * py)
@@ -120,8 +121,7 @@ def calc_contact_terms(z, bodies, ids, numbers, tool, h, dt, xi, lam, out):
         disc = corner + own_corner
         px = edges.ax[vertex]
         py = edges.ay[vertex]
-        cj = cos(other_theta)
-        sj = sin(other_theta)
+        cj, sj = _turn(other_theta)
         # u_j + w_j z × p in the second body's frame, and x_j + R_j p
         ux = z[OTHER_TWIST] - other_w * py
         uy = z[OTHER_TWIST + 1] + other_w * px
@@ -181,7 +181,7 @@ def calc_contact_terms(z, bodies, ids, numbers, tool, h, dt, xi, lam, out):
         length = (ex * ex + ey * ey) ** 0.5
         nx = -ey / length + 0.0 * tx
         ny = ex / length + 0.0 * ty
-        along = ((mx - ax) * ex + (my - ay) * ey) / (length * length)
+        along = ((mx - ax) * ex + (my - ay) * ey) * (1.0 / (length * length))
         cx = ax + along * ex
         cy = ay + along * ey
         gap = nx * (cx - tx) + ny * (cy - ty) - disc
@@ -204,12 +204,11 @@ def calc_contact_terms(z, bodies, ids, numbers, tool, h, dt, xi, lam, out):
     a = h * w
     if j < 0:
         # the pusher's velocity in that frame, where it touches
-        ca = cos(a)
-        sa = sin(a)
+        ca, sa = _turn(a)
         spin = z[TIP_RATE] * disc
         slip_x = slip_x - ca * vx - sa * vy + spin * ny
         slip_y = slip_y + sa * vx - ca * vy - spin * nx
-        out[APPROACH_OUTPUT] = nx * slip_x + ny * slip_y + gap / dt
+        out[APPROACH_OUTPUT] = nx * slip_x + ny * slip_y + gap * per_dt
         out[SLIP_OUTPUT] = nx * slip_y - ny * slip_x
         for k in range(3):
             out[OTHER_WRENCH + k] = 0.0
@@ -217,8 +216,7 @@ def calc_contact_terms(z, bodies, ids, numbers, tool, h, dt, xi, lam, out):
 
     # The same of the second body, whose frame is turned by its own angle.
     turn = theta + a - other_theta - h * other_w
-    turn_c = cos(turn)
-    turn_s = sin(turn)
+    turn_c, turn_s = _turn(turn)
     other_nx = turn_c * nx - turn_s * ny
     other_ny = turn_s * nx + turn_c * ny
     dx = px + corner * other_nx
@@ -236,7 +234,7 @@ def calc_contact_terms(z, bodies, ids, numbers, tool, h, dt, xi, lam, out):
     other_normal_speed = other_nx * other_x + other_ny * other_y
     tangential_speed = nx * slip_y - ny * slip_x
     other_tangential_speed = other_nx * other_y - other_ny * other_x
-    out[APPROACH_OUTPUT] = normal_speed - other_normal_speed + gap / dt
+    out[APPROACH_OUTPUT] = normal_speed - other_normal_speed + gap * per_dt
     out[SLIP_OUTPUT] = tangential_speed - other_tangential_speed
 
 
@@ -259,10 +257,8 @@ def _calc_face_terms(z, bodies, ids, tool, h, dt, xi, lam, out):
 
     # The vertex in the pusher's frame, and its gap now.
     theta = z[POSE_INPUT + 2]
-    c = cos(theta)
-    s = sin(theta)
-    tool_c = cos(z[TIP_YAW])
-    tool_s = sin(z[TIP_YAW])
+    c, s = _turn(theta)
+    tool_c, tool_s = _turn(z[TIP_YAW])
     dx = z[POSE_INPUT] - z[TIP_INPUT]
     dy = z[POSE_INPUT + 1] - z[TIP_INPUT + 1]
     dx += c * px - s * py
@@ -271,26 +267,25 @@ def _calc_face_terms(z, bodies, ids, tool, h, dt, xi, lam, out):
     ly = -tool_s * dx + tool_c * dy
     rx = lx - ax
     ry = ly - ay
-    gap = (rx * ey - ry * ex) / length - tool.radius
+    outward_x = ey / length
+    outward_y = -ex / length
+    gap = rx * outward_x + ry * outward_y - tool.radius
 
     # The face's normal halfway through the step, in the body's frame there.
     angle = theta + h * z[TWIST_INPUT + 2]
     turn = z[TIP_YAW] + h * z[TIP_RATE] - angle
-    turn_c = cos(turn)
-    turn_s = sin(turn)
-    outward_x = ey / length
-    outward_y = -ex / length
+    turn_c, turn_s = _turn(turn)
     nx = turn_c * outward_x - turn_s * outward_y
     ny = turn_s * outward_x + turn_c * outward_y
 
     # The velocity of the pusher's point that is there now, in that frame.
-    next_yaw = z[TIP_YAW] + z[TIP_RATE] * dt
-    turn_vc = (cos(next_yaw) - tool_c) / dt
-    turn_vs = (sin(next_yaw) - tool_s) / dt
+    per_dt = 1.0 / dt
+    next_c, next_s = _turn(z[TIP_YAW] + z[TIP_RATE] * dt)
+    turn_vc = (next_c - tool_c) * per_dt
+    turn_vs = (next_s - tool_s) * per_dt
     world_vx = z[TIP_VELOCITY] + (turn_vc * lx - turn_vs * ly)
     world_vy = z[TIP_VELOCITY + 1] + (turn_vs * lx + turn_vc * ly)
-    ca = cos(angle)
-    sa = sin(angle)
+    ca, sa = _turn(angle)
     vx = ca * world_vx + sa * world_vy
     vy = ca * world_vy - sa * world_vx
 
@@ -303,17 +298,24 @@ def _calc_face_terms(z, bodies, ids, tool, h, dt, xi, lam, out):
     new_w = xi[i, 2]
     slip_x = xi[i, 0] - new_w * py - vx
     slip_y = xi[i, 1] + new_w * px - vy
-    out[APPROACH_OUTPUT] = nx * slip_x + ny * slip_y + gap / dt
+    out[APPROACH_OUTPUT] = nx * slip_x + ny * slip_y + gap * per_dt
     out[SLIP_OUTPUT] = nx * slip_y - ny * slip_x
     for k in range(3):
         out[OTHER_WRENCH + k] = 0.0
 
 
+@kernel(allocates=False, inlined=True)
+def _turn(z):
+    """Calculates cosine and sine of an angle whose imaginary part is all but zero, rad."""
+    c = cos(z.real)
+    s = sin(z.real)
+    return complex(c, -s * z.imag), complex(s, c * z.imag)
+
+
 @kernel(allocates=False)
 def _calc_distance(rx, ry, ex, ey):
     """Calculates how far a point is from an edge (ex, ey), from whose beginning it is r off."""
-    length2 = ex * ex + ey * ey
-    along = (rx * ex + ry * ey) / length2
+    along = (rx * ex + ry * ey) * (1.0 / (ex * ex + ey * ey))
     # beyond the edge's ends these are nearest, and stay where they are
     if along.real < 0.0:
         along = along - along

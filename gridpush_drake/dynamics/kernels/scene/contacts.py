@@ -14,6 +14,9 @@ expected halfway through it (`contact.look_ahead`).
 """
 
 from math import cos, sin, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.contact import (
@@ -25,8 +28,11 @@ from gridpush_drake.dynamics.kernels.contact.contact import (
     NX,
     NY,
     Edges,
+    NearEdges,
     find_contacts,
+    find_contacts_near,
     look_ahead,
+    look_ahead_near,
 )
 from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE, STICK
 from gridpush_drake.dynamics.kernels.scene.records import (
@@ -66,6 +72,40 @@ _SLACK = 0.2
 edges that all but lie on each other then keep both their contacts."""
 
 
+class ContactSearch(NamedTuple):
+    """What contacts are searched with, for N bodies and K vertices of the pusher's core.
+
+    Attributes:
+        found, ahead: (2, 9) workspace.
+        chosen: (N, K, E) edges of each body that the disc at each vertex can touch soon.
+        size: (N, K, 1) their numbers.
+        place: (N, K, 3) where they were chosen; all three as `NearEdges` has them.
+    """
+
+    found: Any
+    ahead: Any
+    chosen: Any
+    size: Any
+    place: Any
+
+
+@kernel()
+def make_contact_search(bodies, tool):
+    """Makes the workspace for a pusher, with nothing chosen yet."""
+    n = bodies.cell_size.shape[0]
+    edges = 0
+    for b in range(n):
+        edges = max(edges, bodies.first_edge[b + 1] - bodies.first_edge[b])
+    vertices = tool.core.ax.shape[0]
+    return ContactSearch(
+        found=np.zeros((2, 9)),
+        ahead=np.zeros((2, 9)),
+        chosen=np.zeros((n, vertices, edges), np.int64),
+        size=np.zeros((n, vertices, 1), np.int64),
+        place=np.full((n, vertices, 3), -1.0),
+    )
+
+
 @kernel(allocates=False)
 def take_edges(edges, first, last):
     """Takes the edges of one body out of those of all."""
@@ -79,7 +119,7 @@ def take_edges(edges, first, last):
 
 
 @kernel(allocates=False)
-def find_scene_contacts(bodies, state, motion, dt, h, found, ahead, contacts):
+def find_scene_contacts(bodies, state, motion, dt, h, search, contacts):
     """Finds the contacts of a step; their modes are those of the step before, where they were.
 
     Args:
@@ -87,7 +127,7 @@ def find_scene_contacts(bodies, state, motion, dt, h, found, ahead, contacts):
         state: `SceneState`.
         motion: `ToolMotion`, the pusher.
         dt, h: the step, and the time after which it looks at the bodies, s.
-        found, ahead: workspace (2, 9), each.
+        search: `ContactSearch`.
         contacts: `Contacts`, filled.
 
     Returns:
@@ -103,7 +143,7 @@ def find_scene_contacts(bodies, state, motion, dt, h, found, ahead, contacts):
     tip_speed, _ = find_fastest_vertex(motion)
     recovery = OVERLAP_RECOVERY * tip_speed * dt
     n = state.q.shape[0]
-    gap = _find_finger_contacts(bodies, state, motion, tip_speed, dt, h, found, ahead, contacts)
+    gap = _find_finger_contacts(bodies, state, motion, tip_speed, dt, h, search, contacts)
     for i in range(n):
         for j in range(n):
             if i == j:
@@ -116,7 +156,7 @@ def find_scene_contacts(bodies, state, motion, dt, h, found, ahead, contacts):
             dy = state.q[j, 1] - state.q[i, 1]
             limit = bodies.reach[i] + bodies.reach[j] + reach
             if dx * dx + dy * dy <= limit * limit:
-                _find_pair_contacts(bodies, state, i, j, reach, recovery, h, found, ahead, contacts)
+                _find_pair_contacts(bodies, state, i, j, reach, recovery, h, search, contacts)
     for r in range(contacts.counts[0]):
         contacts.modes[r] = _recall_mode(contacts, r)
     return gap
@@ -186,7 +226,7 @@ def name_touched_vertex(v):
 
 
 @kernel(allocates=False)
-def _find_finger_contacts(bodies, state, motion, tip_speed, dt, h, found, ahead, contacts):
+def _find_finger_contacts(bodies, state, motion, tip_speed, dt, h, search, contacts):
     """Finds the contacts of the pusher with every outline; returns its least gap, m."""
     least = float("inf")
     tool = motion.tool
@@ -202,7 +242,7 @@ def _find_finger_contacts(bodies, state, motion, tip_speed, dt, h, found, ahead,
         edges = take_edges(bodies.outline, bodies.first_edge[i], bodies.first_edge[i + 1])
         for k in range(tool.core.ax.shape[0]):
             gap = _find_vertex_contacts(
-                bodies, state, i, edges, motion, k, reach, h, found, ahead, contacts
+                bodies, state, i, edges, motion, k, reach, h, search, contacts
             )
             least = min(least, gap)
         if tool.joined:
@@ -212,7 +252,7 @@ def _find_finger_contacts(bodies, state, motion, tip_speed, dt, h, found, ahead,
 
 
 @kernel(allocates=False)
-def _find_vertex_contacts(bodies, state, i, edges, motion, k, reach, h, found, ahead, contacts):
+def _find_vertex_contacts(bodies, state, i, edges, motion, k, reach, h, search, contacts):
     """Finds where the disc at vertex k of the pusher touches body i; returns its least gap, m."""
     tool = motion.tool
     core = tool.core
@@ -227,7 +267,15 @@ def _find_vertex_contacts(bodies, state, i, edges, motion, k, reach, h, found, a
     ty = -s * dx + c * dy
     vx = c * world_vx + s * world_vy
     vy = -s * world_vx + c * world_vy
-    count = _look(edges, state, i, tx, ty, vx, vy, tool.radius, reach, h, found, ahead)
+    found = search.found
+    ahead = search.ahead
+    near = NearEdges(chosen=search.chosen[i, k], size=search.size[i, k], place=search.place[i, k])
+    count = find_contacts_near(edges, near, tx, ty, tool.radius, reach, found)
+    if count > 0:
+        rx, ry = _see_velocity(state, i, tx, ty, vx, vy)
+        count = look_ahead_near(
+            edges, near, tx, ty, h * rx, h * ry, tool.radius, reach, found, ahead
+        )
     if count == 0:
         return float("inf")
     for row in range(count):
@@ -395,7 +443,7 @@ def measure_finger_gap(bodies, state, motion, found):
 
 
 @kernel(allocates=False)
-def _find_pair_contacts(bodies, state, i, j, reach, recovery, h, found, ahead, contacts):
+def _find_pair_contacts(bodies, state, i, j, reach, recovery, h, search, contacts):
     """Finds where convex vertices of body j's core touch the core of body i.
 
     Overlaps deeper than `recovery`, m, are taken for so deep ones.
@@ -406,6 +454,8 @@ def _find_pair_contacts(bodies, state, i, j, reach, recovery, h, found, ahead, c
     start = bodies.first_corner[j]
     corners = take_edges(bodies.core, start, bodies.first_corner[j + 1])
     radius = bodies.corner[i] + bodies.corner[j]
+    found = search.found
+    ahead = search.ahead
     # Only what is within this box can touch body i soon.
     limit = radius + reach
     left = bodies.box[i, 0] - limit
@@ -488,12 +538,16 @@ def _look(edges, state, i, tx, ty, vx, vy, radius, reach, h, found, ahead):
     count = find_contacts(edges, tx, ty, radius, reach, found)
     if count == 0:
         return 0
-    # v - u - w z × t: the disc's motion seen from the body that moves as it did.
+    rx, ry = _see_velocity(state, i, tx, ty, vx, vy)
+    return look_ahead(edges, tx, ty, h * rx, h * ry, radius, reach, found, ahead)
+
+
+@kernel(allocates=False, inlined=True)
+def _see_velocity(state, i, tx, ty, vx, vy):
+    """Calculates v - u - w z × t: a disc's motion seen from body i, which moves as it did, m/s."""
     twist = state.twist
     w = twist[i, 2]
-    rx = vx - twist[i, 0] + w * ty
-    ry = vy - twist[i, 1] - w * tx
-    return look_ahead(edges, tx, ty, h * rx, h * ry, radius, reach, found, ahead)
+    return vx - twist[i, 0] + w * ty, vy - twist[i, 1] - w * tx
 
 
 @kernel(allocates=False)

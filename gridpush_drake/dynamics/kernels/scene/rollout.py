@@ -23,6 +23,7 @@ from gridpush_drake.dynamics.kernels.scene.contact_rows import SceneScales
 from gridpush_drake.dynamics.kernels.scene.contacts import (
     find_fastest_vertex,
     find_scene_contacts,
+    make_contact_search,
     measure_finger_gap,
 )
 from gridpush_drake.dynamics.kernels.scene.records import (
@@ -91,8 +92,7 @@ def rollout_scene(
         load += bodies.load[b]
 
     # Room for all that a step calculates, made once.
-    found = np.zeros((2, 9))
-    ahead = np.zeros((2, 9))
+    search = make_contact_search(bodies, pusher.tool)
     xi = np.zeros((n, 3))
     expected = np.zeros(3)
     no_force = np.zeros(3)
@@ -123,9 +123,7 @@ def rollout_scene(
             _shift_loads(bodies, support, state, no_force, loads, record, t)
 
         # Who touches whom, and whom that sets in motion.
-        record.finger_gaps[t] = find_scene_contacts(
-            bodies, state, motion, dt, h, found, ahead, contacts
-        )
+        record.finger_gaps[t] = find_scene_contacts(bodies, state, motion, dt, h, search, contacts)
         awake = wake(contacts, work)
         closing = _calc_closing_speed(contacts, dt)
         tip_speed, _ = find_fastest_vertex(motion)
@@ -199,7 +197,7 @@ def rollout_scene(
             _record_columns(J, row_of_step[t + 1], derivative.S)
     last = dts.shape[0]
     at_end = _move_tool(pusher, last, last, 1.0)
-    record.finger_gaps[last] = measure_finger_gap(bodies, state, at_end, found)
+    record.finger_gaps[last] = measure_finger_gap(bodies, state, at_end, search.found)
 
 
 @kernel()
