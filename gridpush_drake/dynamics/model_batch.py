@@ -75,8 +75,9 @@ def simulate_models(
             simulate_one(Bodies(obj, params, physics), push, q, times=times, edges=edges)
             for params in models
         ]
-        poses = np.array([motion.poses for motion in motions])
-        tips = np.array([motion.tips for motion in motions])
+        steps = len(times) - 1
+        poses = np.array([motion.poses for motion in motions]).reshape(-1, steps + 1, 3)
+        tips = np.array([motion.tips for motion in motions], dtype=bool).reshape(-1, steps)
     else:
         load = Load(
             tip=push.tip_at(times),

@@ -1,4 +1,4 @@
-"""`PreGraspController`: slides an object to the table's edge and grasps it there.
+"""`PreGraspController`: slides an object to the table's edge, and may grasp it there.
 
 It holds no decisions of its own: it is `planning.pregrasp` between ports.
 """
@@ -52,12 +52,13 @@ class PreGraspController(ObjectController[PreGraspState]):
       first push.
     * push_log: abstract `PushLog`, all pushes so far; it need not be connected.
     * push_status: abstract `PushStatus` of the executor of pushes.
-    * grasp_status: abstract `GraspStatus` of the executor of grasps.
+    * grasp_status: abstract `GraspStatus` of the executor of grasps; there only if it grasps.
     * press_status: abstract `PressStatus` of the executor of presses; there only if it weighs.
     * status: abstract `PreGraspStatus`, how the controller stands.
     * push_command: vector of 6, see `PushCommand`; its id is 0 before the first command, while a
       push is broken off, after a command was withdrawn, and while the object is grasped.
-    * grasp_command: vector of 6, see `GraspCommand`; its id is 0 before the first command.
+    * grasp_command: vector of 6, see `GraspCommand`; its id is 0 before the first command. It is
+      there only if the controller grasps.
     * press_command: vector of 11, see `PressCommand`; its id is 0 while nothing is weighed. It is
       there only if the controller weighs.
 
@@ -69,7 +70,7 @@ class PreGraspController(ObjectController[PreGraspState]):
     def __init__(
         self,
         planner: PreGraspPlanner,
-        find_grasp: FindGrasp,
+        find_grasp: FindGrasp | None,
         *,
         grasp_height: float = 0.015,
         lift: float = 0.1,
@@ -82,7 +83,8 @@ class PreGraspController(ObjectController[PreGraspState]):
 
         Args:
             planner: plans pokes, slides and goals for one object on one table.
-            find_grasp: finds a grasp of the object where it lies.
+            find_grasp: finds a grasp of the object where it lies; None for a controller that does
+                not grasp, and is done where the object could be grasped.
             grasp_height: z of the grasp point in W, half the object's height, m.
             lift: height to which the object is lifted, m.
             seed: seed of the draws of masses that the object may have.
@@ -101,7 +103,9 @@ class PreGraspController(ObjectController[PreGraspState]):
             PUSH_COMMAND_SIZE,
             lambda now: PushCommand.from_push(now.push_id, now.shown_push).to_vector(),
         )
-        self._grasp_status = self._declare_grasp(grasp_height, lift)
+        self._grasp_status = None
+        if find_grasp is not None:
+            self._grasp_status = self._declare_grasp(grasp_height, lift)
         self._press_status = None
         if weighs:
             self._press_status = self.DeclareAbstractInputPort(
@@ -116,7 +120,9 @@ class PreGraspController(ObjectController[PreGraspState]):
             )
 
     def _observe(self, context: Context) -> Observation:
-        seen = replace(super()._observe(context), gripper=self._grasp_status.Eval(context))
+        seen = super()._observe(context)
+        if self._grasp_status is not None:
+            seen = replace(seen, gripper=self._grasp_status.Eval(context))
         if self._press_status is None:
             return seen
         return replace(seen, presser=self._press_status.Eval(context))

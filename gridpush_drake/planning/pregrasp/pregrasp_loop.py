@@ -7,8 +7,9 @@
        +--> weighing -------------------------+           a press at the edge, then a new look
        |                                      ^
        +--> verifying --> grasping -----------+           an object that was missed, or slipped, is
-                             |                            observed anew
-                             +--> holding
+                    |        |                            observed anew
+                    |        +--> holding
+                    +--> ready                            where somebody else is to grasp it
 
 Whenever robot and object are at rest the object is observed for a while, and the planner decides
 what to do next; nothing is done on an old observation. A decision depends on that, on what was
@@ -114,6 +115,7 @@ class PreGraspMode(StrEnum):
     STOPPING = "stopping"
     WEIGHING = "weighing"
     VERIFYING = "verifying"
+    READY = "ready"
     GRASPING = "grasping"
     HOLDING = "holding"
     LOST = "lost"
@@ -127,8 +129,8 @@ class PreGraspStatus:
     Attributes:
         mode: "waiting" (to see the object at rest), "exploring", "sliding", "stopping" (a push that
             is broken off), "weighing" (a press at the table's edge is made), "verifying" (that it
-            can be grasped where it lies), "grasping" (until it is lifted), "holding", "lost" (from
-            sight) or "failed".
+            can be grasped where it lies), "ready" (to be grasped by somebody else), "grasping"
+            (until it is lifted), "holding", "lost" (from sight) or "failed".
         reason: for the mode, in a sentence.
         pokes: number of pokes asked for so far and not refused.
         slides: number of slides asked for so far and not refused.
@@ -159,7 +161,7 @@ class PreGraspStatus:
     @property
     def over(self) -> bool:
         """Whether nothing more is done."""
-        return self.mode in (PreGraspMode.HOLDING, PreGraspMode.FAILED)
+        return self.mode in (PreGraspMode.READY, PreGraspMode.HOLDING, PreGraspMode.FAILED)
 
 
 @dataclass(frozen=True)
@@ -183,6 +185,7 @@ NO_PUSH = (
     PreGraspMode.STOPPING,
     PreGraspMode.WEIGHING,
     PreGraspMode.VERIFYING,
+    PreGraspMode.READY,
     PreGraspMode.GRASPING,
     PreGraspMode.HOLDING,
 )
@@ -260,7 +263,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
     def __init__(
         self,
         planner: PreGraspPlanner,
-        find_grasp: FindGrasp,
+        find_grasp: FindGrasp | None,
         *,
         infer: Infer | None = None,
         seed: int = 0,
@@ -270,7 +273,8 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
 
         Args:
             planner: decides what to do.
-            find_grasp: finds a grasp where the planner wants one.
+            find_grasp: finds a grasp where the planner wants one; None to end where the object
+                could be grasped.
             infer: says what is possible; by default the identification's posterior does.
             seed: of the draws from what is possible.
             options: how the loop observes, and when it gives up.
@@ -487,7 +491,11 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
                 PreGraspMode.VERIFYING, reason, goal=decision.goal, margin=decision.margin
             )
         assert uncertain is not None
-        return self._grasp(now, pose, uncertain, decision)
+        if self._find_grasp is None:
+            return now.turn_to(
+                PreGraspMode.READY, reason, goal=decision.goal, margin=decision.margin
+            )
+        return self._grasp(now, pose, uncertain, decision, self._find_grasp)
 
     def _choose_planner(self, now: PreGraspState) -> PreGraspPlanner:
         """The planner, which supposes a heavier object for each press that this one withstood.
@@ -555,11 +563,16 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         )
 
     def _grasp(
-        self, now: PreGraspState, pose: Array, uncertain: Belief, decision: PreGraspDecision
+        self,
+        now: PreGraspState,
+        pose: Array,
+        uncertain: Belief,
+        decision: PreGraspDecision,
+        find: FindGrasp,
     ) -> PreGraspState:
         """The state with a grasp asked for; failed, where there is none."""
         goal = decision.goal
-        grasp = choose_grasp(self._find_grasp, pose, uncertain.masses, goal)
+        grasp = choose_grasp(find, pose, uncertain.masses, goal)
         if grasp is None:
             why = (
                 "The gripper reaches no part that hangs over and by which its pads hold the object."

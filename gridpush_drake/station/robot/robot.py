@@ -232,7 +232,7 @@ def make_robot_directives(
         robot: name of a robot that comes with the package; or the folder of a robot, or its
             robot.yaml.
         grasping: whether the scene is one to grasp in; None to grasp if the robot can. A gripper
-            that pushes does not grasp.
+            that pushes does not grasp, but the table then stands where something could be grasped.
         pusher: what pushes.
 
     Returns:
@@ -271,10 +271,11 @@ def make_robot_directives(
             f"robot {robot}{why}: its robot.yaml has no `scenes: {{{what}: FILE}}`; "
             f"expected one of {able}{or_else}"
         )
-    url = scene if "://" in scene else (path.resolve().parent / scene).as_uri()
-    directives = [ModelDirective(add_directives=AddDirectives(file=url))]
+    package_map = MakePackageMap(_find_packages(path.parent, arm))
+    directives = _include(path, scene)
+    if what == "gripper" and grasping and scenes is not None and scenes.grasp:
+        directives = _place_as(directives, _include(path, scenes.grasp), package_map)
     if path is not shipped:
-        package_map = MakePackageMap(_find_packages(path.parent, arm))
         flat, folders = _flatten(directives, package_map)
         _refuse_other_robot(path, f"scenes.{what} is {scene}", folders)
         if arm.packages:
@@ -285,6 +286,29 @@ def make_robot_directives(
                     directive.add_model.file = file.resolve().as_uri()
             return flat
     return directives
+
+
+def _include(path: Path, scene: str) -> list[ModelDirective]:
+    """Makes the directives that include the file of a scene, which a robot.yaml at `path` names."""
+    url = scene if "://" in scene else (path.resolve().parent / scene).as_uri()
+    return [ModelDirective(add_directives=AddDirectives(file=url))]
+
+
+def _place_as(
+    directives: Sequence[ModelDirective], example: Sequence[ModelDirective], packages: PackageMap
+) -> list[ModelDirective]:
+    """Lets what both scenes weld to the world, such as the table, stand where the example has it.
+
+    Raises:
+        ScenarioError: a directive cannot be carried out.
+    """
+    welds = {
+        d.add_weld.child: d
+        for d in _flatten(example, packages)[0]
+        if d.add_weld and d.add_weld.parent == "world"
+    }
+    flat, _ = _flatten(directives, packages)
+    return [welds.get(d.add_weld.child, d) if d.add_weld else d for d in flat]
 
 
 def _refuse_other_robot(path: Path, says: str, folders: Mapping[str, Path]) -> None:

@@ -34,6 +34,7 @@ TASKS = {
     "identify": TaskEntry("identify_task:IdentifyKind"),
     "push": TaskEntry("push_task:PushKind"),
     "pregrasp": TaskEntry("pregrasp_kind:PreGraspKind"),
+    "slide": TaskEntry("pregrasp_kind:SlideKind"),
     "follow": TaskEntry("follow_task:FollowKind", section="follow_config:FollowConfig"),
     "line": TaskEntry("line_task:LineKind", section="line_config:LineConfig"),
     "separate": TaskEntry("scene_kinds:SeparateKind"),

@@ -1,5 +1,7 @@
 """`PreGraspKind`: the task to poke, slide, grasp and lift an object, as the commands know it.
 
+`SlideKind` is the same without the grasp.
+
 The task itself is in `station.tasks.pregrasp_task`. What weighings said of the object is summarized
 here, too, as only this task weighs.
 """
@@ -20,7 +22,7 @@ from gridpush_drake.planning.belief import Belief
 from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_grasp
 from gridpush_drake.report.progress import ExpectedUncertainty
-from gridpush_drake.station.tasks.pregrasp_task import PreGraspRecord, PreGraspTask
+from gridpush_drake.station.tasks.pregrasp_task import PreGraspRecord, PreGraspTask, SlideTask
 from gridpush_drake.station.tasks.run_summary import (
     calc_center_errors,
     compare_errors,
@@ -42,6 +44,7 @@ PREGRASP_TITLES = {
     PreGraspMode.STOPPING: "Breaking off the push",
     PreGraspMode.WEIGHING: "Weighing it at the table's edge",
     PreGraspMode.VERIFYING: "Checking that it can be grasped here",
+    PreGraspMode.READY: "It can be grasped here",
     PreGraspMode.GRASPING: "Grasping and lifting",
     PreGraspMode.HOLDING: "Lifted and held",
     PreGraspMode.LOST: "The object is out of sight",
@@ -172,6 +175,15 @@ class PreGraspKind(TaskKind):
                 if step.status.mode != PreGraspMode.WAITING
             ],
         )
+
+
+class SlideKind(PreGraspKind):
+    """A robot pokes an object, learns it, and slides it to where it can be grasped."""
+
+    help = "poke and learn it, and slide it to the table's edge, until it can be grasped there"
+    sentence = "Slide the {} to the table's edge, until it can be grasped there."
+    station = SlideTask
+    done = TaskStatus.REACHED
 
 
 def summarize_weighed(absolute: AbsoluteEstimate, record: PreGraspRecord) -> dict[str, Any]:

@@ -1,5 +1,8 @@
 """The pre-grasp task: poke and learn an object, slide it to the table's edge, grasp and lift it.
 
+`SlideTask` does the same up to the grasp, which it leaves to somebody else. So it needs no gripper
+that points at the table's edge, and a gripper that pushes slides the object, too.
+
 If nothing is told of the object, it is weighed on the way, where else the task would have to give
 up: the finger presses on what hangs over the edge (`planning.weighing`).
 
@@ -8,14 +11,13 @@ up: the finger presses on what hangs over the edge (`planning.weighing`).
 
 from dataclasses import dataclass, replace
 from math import atan2
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import shapely
 from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError, StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
@@ -35,6 +37,8 @@ from gridpush_drake.planning.weighing.plan import PressRules
 from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.planning.weighing.sequence import SequenceOptions
 from gridpush_drake.station.control.robot_control import PRESS_FRACTION, Learning
+from gridpush_drake.station.robot.measures import GripperMeasures
+from gridpush_drake.station.robot.robot import Robot
 from gridpush_drake.station.scene.finger_region import MakeFingerRegion
 from gridpush_drake.station.scene.resolve import ResolvedScenario
 from gridpush_drake.station.scene.setting import make_surface
@@ -76,12 +80,14 @@ class GraspFinder:
         obj: the object.
         surface: the table, as planners know it.
         pads: what the pads of the gripper can hold.
+        grasps: whether the station's own arm is to grasp.
     """
 
     station: Station
     obj: GridObject
     surface: SupportSurface
     pads: PadLimit
+    grasps: bool = True
 
     def find_grasp(
         self, pose: Array, aim: Array, masses: PlausibleMassSet, at_worst: bool
@@ -145,7 +151,12 @@ class GraspFinder:
         return shapely.union_all(places)
 
     def _is_reached(self, p_WG: Array, approach: float) -> bool:
-        """Returns whether the arm can grasp at p_WG (2,), m, coming in along `approach`, rad."""
+        """Returns whether the arm can grasp at p_WG (2,), m, coming in along `approach`, rad.
+
+        It can everywhere where somebody else grasps.
+        """
+        if not self.grasps:
+            return True
         scenario = self.station.scenario
         x, y = p_WG.tolist()
         command = GraspCommand(
@@ -188,6 +199,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
     """The station with a controller that explores, slides, grasps and lifts.
 
     Attributes:
+        grasps: whether it grasps and lifts; else it is done where the object could be grasped.
         obj: the object, as the robot knows it.
         surface: the table, as planners know it.
         planner: decides for the controller what to do next.
@@ -196,6 +208,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
     lost_after = 10.0
     timeout = 60.0
     learning = Learning()
+    grasps: ClassVar[bool] = True
 
     def AddController(self, builder: DiagramBuilder) -> PreGraspController:
         """Adds the controller, and makes the planner that decides for it.
@@ -209,7 +222,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         scenario = station.scenario
         self.surface = make_surface(station.table_top)
         self.obj = station.obj
-        self._finder, options = make_finder(station, self.surface)
+        self._finder, options = make_finder(station, self.surface, self.grasps)
         kind = TiltTestPlanner if scenario.unknown_inertia else PreGraspPlanner
         self.planner = kind(
             self.obj,
@@ -228,7 +241,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
     @classmethod
     def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
         """Lists why the object cannot be grasped; see `StationTask.list_faults`."""
-        return list_gripper_faults(resolved)
+        return list_gripper_faults(resolved, cls.grasps)
 
     def make_record(self) -> PreGraspRecord:
         """Makes the empty record of a run."""
@@ -246,15 +259,17 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         return self.note_step(record, time)
 
     def judge(self, record: PreGraspRecord, waiting: Waiting) -> Judgment:
-        """Decides whether the object is held or lost, or the task can get no further."""
+        """Decides whether the object is where it should be or lost, or there is no way on."""
         status = record.last
         if self.simulated and np.isnan(self.read(self.judged_pose)).any():
             return TaskStatus.DROPPED, f"The object fell: {status.reason}"
+        if status.mode == PreGraspMode.READY:
+            return TaskStatus.REACHED, status.reason
         if status.mode == PreGraspMode.HOLDING:
             return judge_lift(self, record.raised, "The object")
         if status.mode == PreGraspMode.FAILED:
             return TaskStatus.FAILED, status.reason
-        at_rest = not self.is_at_work() and self.read("grasp.status").ready
+        at_rest = not self.is_at_work() and (not self.grasps or self.read("grasp.status").ready)
         if waiting.unseen > self.lost_after and at_rest:
             return TaskStatus.LOST, f"The object has not been seen for {self.lost_after:g} s."
         return self.judge_idle(waiting, status.reason)
@@ -286,13 +301,18 @@ class PreGraspTask(StationTask[PreGraspRecord]):
     def _make_limits(self) -> ArmLimits:
         """Makes the limits of what the planner may ask of the arm."""
         station = self.station
+        finger_region = MakeFingerRegion(station)
         return ArmLimits(
-            finger_region=MakeFingerRegion(station),
-            edge_region=self._finder.find_edge(),
+            finger_region=finger_region,
+            edge_region=self._find_edge(finger_region),
             can_push=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
             can_grasp=self._finder.can_grasp,
             can_press=self._can_press if station.scenario.unknown_inertia else None,
         )
+
+    def _find_edge(self, finger_region: BaseGeometry) -> BaseGeometry:
+        """Finds where on the table's edge the object may be taken, in W, m."""
+        return self._finder.find_edge()
 
     def _can_press(self, target: PressTarget, pose: Array) -> bool:
         """Says whether the arm can press there, with the object at a pose (3,)."""
@@ -305,13 +325,34 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         scenario = self.station.scenario
         return PreGraspController(
             self.planner,
-            self._finder.find_grasp,
+            self._finder.find_grasp if self.grasps else None,
             grasp_height=scenario.object_height / 2,
             lift=scenario.pregrasp.lift,
             seed=scenario.seed,
             answer_delay=scenario.simulation.answer_delay,
             weighs=scenario.unknown_inertia,
         )
+
+
+class SlideTask(PreGraspTask):
+    """The station with a controller that explores and slides, and leaves the grasp to others."""
+
+    takes_gripper = True
+    grasps = False
+
+    def _find_edge(self, finger_region: BaseGeometry) -> BaseGeometry:
+        """Finds the table's edge as far as the pusher gets to it, in W, m.
+
+        Raises:
+            StationError: it gets to no place of the edge.
+        """
+        near = finger_region.buffer(EDGE_STEP)
+        if not near.intersects(self.surface.polygon.exterior):
+            raise StationError(
+                f"workspace: the pusher gets to no place of the table's edge; expected to be within "
+                f"{EDGE_STEP:g} m of it somewhere"
+            )
+        return near
 
 
 def make_tilt_test_options(station: Station) -> TiltTestOptions:
@@ -326,6 +367,14 @@ def make_tilt_test_options(station: Station) -> TiltTestOptions:
         max_presses=scenario.weighing.max_presses,
         top=scenario.object_height,
     )
+
+
+def _find_gripper(robot: Robot, grasps: bool) -> GripperMeasures | None:
+    """Finds the measures of the gripper by which an object can be grasped.
+
+    One that pushes points down, and cannot grasp at the table's edge itself.
+    """
+    return robot.gripper if grasps or robot.gripper else robot.pushing_gripper
 
 
 def calc_raised(task: StationTask[Any]) -> float:
@@ -357,26 +406,34 @@ def judge_lift(task: StationTask[Any], raised: float, what: str, more: str = "")
     )
 
 
-def make_finder(station: Station, surface: SupportSurface) -> tuple[GraspFinder, PreGraspOptions]:
+def make_finder(
+    station: Station, surface: SupportSurface, grasps: bool = True
+) -> tuple[GraspFinder, PreGraspOptions]:
     """Makes what finds grasps of a station's object, and the planner's options.
+
+    Args:
+        station: the station.
+        surface: the table.
+        grasps: whether the station's own arm is to grasp.
 
     Raises:
         PlanningError: the object is too thick for the gripper, or its pads fit nowhere on it.
     """
     scenario = station.scenario
-    assert station.robot.gripper is not None
-    gripper = station.robot.gripper.make_gripper()
+    measures = _find_gripper(station.robot, grasps)
+    assert measures is not None
+    gripper = measures.make_gripper()
     force = gripper.limit_force(scenario.pregrasp.force)
     gripper.check_thickness(station.obj, scenario.object_height)
     pads = gripper.limit_pads(station.obj, force)
-    finder = GraspFinder(station, station.obj, surface, pads)
+    finder = GraspFinder(station, station.obj, surface, pads, grasps)
     # how the object is poked and slid
     pregrasp = scenario.pregrasp
     speed = scenario.pokes.speed
     if scenario.unknown_inertia:
         speed = min(speed, FELT_SPEED)
     slide = SlideOptions()
-    pusher = Pusher(station.robot.finger.tip_radius, speed, APPROACH_CLEARANCE)
+    pusher = replace(station.robot.pusher, speed=speed, clearance=APPROACH_CLEARANCE)
     contact: ContactOptions = replace(slide.contact, pusher=pusher)
     options = PreGraspOptions(
         gripper=gripper,
@@ -392,13 +449,17 @@ def make_finder(station: Station, surface: SupportSurface) -> tuple[GraspFinder,
     return finder, options
 
 
-def list_gripper_faults(resolved: ResolvedScenario) -> list[str]:
+def list_gripper_faults(resolved: ResolvedScenario, grasps: bool = True) -> list[str]:
     """Lists why the robot cannot grasp a scenario's object, as far as its height tells.
 
     A camera measures the object's height: it is not known here how high it will find it.
+
+    Args:
+        resolved: the scenario.
+        grasps: whether the robot itself is to grasp; else its gripper says what can be grasped.
     """
     scenario = resolved.scenario
-    gripper = resolved.robot.gripper
+    gripper = _find_gripper(resolved.robot, grasps)
     if gripper is None:
         return ["directives: there is no model gripper; expected a scene that can grasp"]
     if scenario.camera.kind != "ideal":

@@ -386,9 +386,9 @@ class StationTask(Generic[RecordType]):
         pusher = resolved.scenario.pusher
         if not cls.takes_gripper:
             return [
-                f"pusher is {pusher}, which is for straight pushes away from the table's edge, in "
-                "the tasks identify, push, separate and rearrange; expected pusher: finger, and a "
-                "scene with a finger"
+                f"pusher is {pusher}, which is for the tasks identify, push, slide, separate and "
+                "rearrange, in which nothing is steered or grasped; expected one of them, or pusher: "
+                "finger, and a scene with a finger"
             ]
         if resolved.scenario.unknown_inertia:
             return [
