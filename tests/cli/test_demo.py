@@ -215,7 +215,7 @@ def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
         ),
         (
             ["--robot", "panda", "--pusher", "gripper"],
-            ["pusher is gripper", "identify, push, separate and rearrange"],
+            ["pusher is gripper", "identify, push, slide, separate and rearrange"],
         ),
         (["--pusher", "gripper"], ["--pusher gripper: expected --robot NAME beside it"]),
     ],
@@ -248,7 +248,7 @@ def test_tells_the_robot_nothing_if_it_is_asked_to(gridpush, refuses, tmp_path, 
         "--unknown-inertia",
         "--out",
         tmp_path / "demo",
-        says=["--unknown-inertia", "goes with --task pregrasp only", "in --task push nothing"],
+        says=["--unknown-inertia", "goes with --task pregrasp or slide only", "in --task push nothing"],
     )
 
 

@@ -159,6 +159,10 @@ def test_batches_and_models_tip_where_no_loads_can_hold_the_object():
         np.testing.assert_array_equal(by_model.poses[0], motion.poses)
         first = int(np.argmax(motion.tips)) if status == "tips" else len(TIMES)
         assert by_model.upright[0] == first
+        none = simulate_models(
+            bodies.obj, [], push, POSE, times=TIMES, physics=QUASI_STATIC, table=table
+        )
+        assert none.poses.shape == (0, *motion.poses.shape) and none.upright.shape == (0,)
 
 
 def test_far_from_the_edge_a_table_changes_nothing():

@@ -9,11 +9,12 @@ import yaml
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.errors import ScenarioError
+from gridpush_drake.dynamics.simulation import calc_loads, simulate
+from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.parser import find_models
+from gridpush_drake.planning.support_surface import find_supported
 from gridpush_drake.station.control.robot_control import Learning
 from gridpush_drake.station.hardware.hardware_station import make_bounds, make_object_watch
 from gridpush_drake.station.robot.robot import find_robot, list_robots, make_robot_directives
@@ -231,7 +232,8 @@ def test_a_gripper_that_does_not_say_where_its_tip_is_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("task", "fields", "says"),
     [
-        ("follow", {}, "pusher is gripper, which is for straight pushes away from the table"),
+        ("follow", {}, "which is for the tasks identify, push, slide, separate and rearrange, in"),
+        ("pregrasp", {}, "pusher is gripper"),
         ("fetch", {}, "pusher is gripper"),
         ("push", {"unknown_inertia": True}, "and unknown_inertia is true"),
     ],
@@ -239,6 +241,44 @@ def test_a_gripper_that_does_not_say_where_its_tip_is_is_refused(tmp_path):
 def test_a_task_that_needs_a_finger_is_refused(task, fields, says):
     with pytest.raises(ScenarioError, match=says):
         TASK_KINDS[task].check(resolve(make_scenario(**fields)))
+
+
+def test_the_table_of_a_gripper_that_slides_stands_where_something_could_be_grasped():
+    there = {
+        pusher: resolve(
+            PushScenario(
+                pusher=pusher,
+                directives=make_robot_directives("panda", grasping=True, pusher=pusher),
+                object_pose=[0.54, -0.06, 0.0],
+            )
+        )
+        for pusher in ("finger", "gripper")
+    }
+    assert there["gripper"].table_top.equals(there["finger"].table_top)
+    assert there["gripper"].X_WR.IsExactlyEqualTo(there["finger"].X_WR)
+    assert not there["gripper"].table_top.equals(resolve(make_scenario()).table_top)
+
+
+def test_a_pusher_that_gets_to_no_place_of_the_edge_slides_nothing():
+    with pytest.raises(StationError, match="workspace: the pusher gets to no place of the table"):
+        TASK_KINDS["slide"].station(make_scenario(object_pose=[0.6, 0.0, 0.0]))
+
+
+@pytest.mark.slow
+def test_an_object_is_slid_to_where_it_can_be_grasped_with_a_gripper():
+    scenario = read_scenario("grasp")
+    scenario.directives = make_robot_directives("panda", grasping=True, pusher="gripper")
+    scenario.pusher = "gripper"
+    task = TASK_KINDS["slide"].station(scenario)
+    record = task.run()
+    assert (record.status, record.last.mode) == ("reached", "ready"), record.message
+    assert record.last.slides > 0 and record.limit_report.ok
+    assert all(made.push.shape is task.station.robot.shape for made in record.log)
+    # It truly hangs over the edge, and lies there.
+    assert record.log[-1].overhang
+    true_pose = task.read("object.pose_true")
+    assert not find_supported(task.obj, true_pose, task.surface).all()
+    assert calc_loads(Model(task.obj, record.truth), true_pose, task.surface.corners) is not None
 
 
 @pytest.mark.slow

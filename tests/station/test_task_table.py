@@ -88,7 +88,7 @@ def test_a_task_declares_all_that_commands_ask_for(name):
 def test_tasks_are_named_by_what_they_do():
     assert DEFAULT_TASK in TASKS
     assert name_tasks(lambda kind: kind.counts_pokes) == "identify"
-    assert name_tasks(lambda kind: kind.weighs) == "pregrasp"
+    assert name_tasks(lambda kind: kind.weighs) == "pregrasp or slide"
     assert name_tasks(lambda kind: kind.hides) == "follow or line"
 
 

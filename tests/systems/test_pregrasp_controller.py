@@ -53,10 +53,12 @@ NOWHERE = (np.nan, np.nan, np.nan)
 class Robot:
     """What the controller is connected to."""
 
-    def __init__(self, pose, **options):
+    def __init__(self, pose, grasps=True, **options):
         planner = PreGraspPlanner(BAR, TABLE)
         self.controller = PreGraspController(
-            planner, self.find_grasp, options=PreGraspLoopOptions(**options)
+            planner,
+            self.find_grasp if grasps else None,
+            options=PreGraspLoopOptions(**options),
         )
         self.simulator = Simulator(self.controller)
         self.context = self.simulator.get_mutable_context()
@@ -80,6 +82,8 @@ class Robot:
             ("push_status", self.pushing),
             ("grasp_status", self.grasping),
         ):
+            if not self.controller.HasInputPort(port):
+                continue
             self.controller.GetInputPort(port).FixValue(self.context, AbstractValue.Make(value))
 
     def wait(self, seconds=1.0):
@@ -165,6 +169,16 @@ def test_grasps_what_hangs_over_and_reports_that_it_is_held(learned):
     robot.grasping = GraspStatus("holding", 1, GraspOutcome.HELD)
     assert robot.wait().mode == "holding"
     assert robot.status.over
+
+
+def test_without_a_grasp_it_is_done_where_the_object_could_be_grasped(learned):
+    robot = make_robot(OVER_THE_EDGE, learned, grasps=False)
+    assert not robot.controller.HasOutputPort("grasp_command")
+    status = robot.wait()
+    assert (status.mode, status.over, status.grasps) == ("ready", True, 0)
+    assert status.goal is not None and status.margin > 0
+    robot.see((0.0, 0.0, 0.0))
+    assert robot.wait() is status  # nothing more is done
 
 
 def test_a_missed_grasp_is_tried_anew_and_given_up_in_the_end(learned):

@@ -85,8 +85,9 @@ class ArmPosture:
 
     def describe_speed(self, k: int, speed: float) -> str:
         """Says that joint k, counted from 0, would have to move at a speed, rad/s or m/s."""
-        moves, unit = ("slide", "m/s") if k in self._slides else ("turn", "rad/s")
-        return f"joint {k + 1} of the arm would have to {moves} at {speed:.2f} {unit}"
+        if k in self._slides:
+            return f"joint {k + 1} of the arm would have to slide at {speed:.2f} m/s"
+        return f"joint {k + 1} of the arm would have to turn at {speed:.2f} rad/s"
 
     def calc_tip_pose(self, q: Array) -> RigidTransform:
         """Calculates X_WP of the tip's frame at the joint positions q (n,), rad."""

@@ -232,7 +232,7 @@ def make_robot_directives(
         robot: name of a robot that comes with the package; or the folder of a robot, or its
             robot.yaml.
         grasping: whether the scene is one to grasp in; None to grasp if the robot can. A gripper
-            that pushes does not grasp, but the table then stands where something could be grasped.
+            that pushes does not grasp, but with True its table stands where something could be.
         pusher: what pushes.
 
     Returns:
@@ -253,6 +253,7 @@ def make_robot_directives(
         raise ScenarioError(f"robot {robot} is not known{near}, or the folder of a robot.yaml")
     arm = read_measures(path, ArmMeasures)
     scenes = arm.scenes
+    at_edge = bool(grasping)
     if grasping is None:
         grasping = scenes is not None and scenes.grasp is not None
     what: SceneKind = "grasp" if grasping else "push"
@@ -273,7 +274,7 @@ def make_robot_directives(
         )
     package_map = MakePackageMap(_find_packages(path.parent, arm))
     directives = _include(path, scene)
-    if what == "gripper" and grasping and scenes is not None and scenes.grasp:
+    if what == "gripper" and at_edge and scenes is not None and scenes.grasp:
         directives = _place_as(directives, _include(path, scenes.grasp), package_map)
     if path is not shipped:
         flat, folders = _flatten(directives, package_map)

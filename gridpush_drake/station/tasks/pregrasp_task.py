@@ -349,7 +349,7 @@ class SlideTask(PreGraspTask):
         near = finger_region.buffer(EDGE_STEP)
         if not near.intersects(self.surface.polygon.exterior):
             raise StationError(
-                f"workspace: the pusher gets to no place of the table's edge; expected to be within "
+                "workspace: the pusher gets to no place of the table's edge; expected to be within "
                 f"{EDGE_STEP:g} m of it somewhere"
             )
         return near

@@ -387,8 +387,8 @@ class StationTask(Generic[RecordType]):
         if not cls.takes_gripper:
             return [
                 f"pusher is {pusher}, which is for the tasks identify, push, slide, separate and "
-                "rearrange, in which nothing is steered or grasped; expected one of them, or pusher: "
-                "finger, and a scene with a finger"
+                "rearrange, in which nothing is steered or grasped; expected one of them, or "
+                "pusher: finger, and a scene with a finger"
             ]
         if resolved.scenario.unknown_inertia:
             return [
