@@ -57,8 +57,7 @@ class Jacobian:
         pose: (R, 3, 3) by the pose at the beginning; (R, N, 3, N, 3) by those of several objects.
         contact_location: (R, 3) by the arc length on the outline where the push begins, 1/m; None
             unless the push was made by `Push.on_outline`, and of several objects.
-        push_height: (R, 3) by the height at which the pusher acts; None where loads do not shift,
-            and of a shaped pusher.
+        push_height: (R, 3) by the height at which the pusher acts; None where loads do not shift.
         yaw: (R, 3) by turning a shaped pusher about its frame's origin, at all times alike, 1/rad;
             None of a disc, as `turn` and `center`.
         turn: (R, 3) by how far it turns from beginning to end, its places held, 1/rad.

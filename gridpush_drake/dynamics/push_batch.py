@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.kernel_call import NO_SUPPORT, make_support, run_pushes, shifts_loads
+from gridpush_drake.dynamics.kernel_call import make_support, run_pushes, shifts_loads
 from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     CONTACT_FRICTION,
     POSE_THETA,
@@ -226,7 +226,8 @@ class PushBatch:
         for one, steps, J in self._run_shaped(params, differentiate=True, along=along):
             poses[one.rows] = steps.poses[one.wanted, 0]
             own = J[one.row_of_step[one.wanted], 0]
-            derivatives[one.rows, :, :n] = own[..., :n] * (by_mass if one.table is None else 1.0)
+            shifted = shifts_loads(params, one.table)
+            derivatives[one.rows, :, :n] = own[..., :n] if shifted else own[..., :n] * by_mass
             derivatives[one.rows, :, n : n + 3] = own[..., n : n + 3]
             derivatives[one.rows, :, n + 3 : n + 6] = own[..., poses_at : poses_at + 3]
             if one.table is not None and along is not None:
@@ -253,7 +254,9 @@ class PushBatch:
             width = 0
             if differentiate:
                 width = count_scene_columns(
-                    bodies, shifted=one.table is not None, with_friction=along is not None
+                    bodies,
+                    shifted=shifts_loads(params, one.table),
+                    with_friction=along is not None and one.table is not None,
                 )
             J = np.empty((len(one.rows), 1, 3, width))
             steps = run_scene_kernel(
@@ -265,7 +268,7 @@ class PushBatch:
                 dts=one.dts,
                 row_of_step=one.row_of_step,
                 J=J,
-                support=NO_SUPPORT if one.table is None else make_support(bodies, one.table),
+                support=make_support(bodies, one.table),
             )
             yield one, steps, J
 

@@ -248,7 +248,11 @@ def test_tells_the_robot_nothing_if_it_is_asked_to(gridpush, refuses, tmp_path, 
         "--unknown-inertia",
         "--out",
         tmp_path / "demo",
-        says=["--unknown-inertia", "goes with --task pregrasp or slide only", "in --task push nothing"],
+        says=[
+            "--unknown-inertia",
+            "goes with --task pregrasp or slide only",
+            "in --task push nothing",
+        ],
     )
 
 

@@ -55,10 +55,10 @@ def turn_slowly(shape, *, start=(-0.066, 0.006), yaw=0.1, turn=0.25, center=(-0.
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
-@pytest.mark.parametrize("edge", [0.07, 0.025])
-def test_a_shape_of_one_disc_shifts_loads_as_the_disc_does(edge, yaw):
+@pytest.mark.parametrize(("edge", "height"), [(0.07, 0.0), (0.025, 0.0), (0.07, 0.02)])
+def test_a_shape_of_one_disc_shifts_loads_as_the_disc_does(edge, height, yaw):
     bodies = make_block()
-    slippery = replace(bodies.params, contact_friction=0.1)
+    slippery = replace(bodies.params, contact_friction=0.1, push_height=height)
     bodies = Bodies(bodies.obj, slippery, QUASI_STATIC)
     push = Push((-0.062, 0.01), (0.05, 0.012), 1.0, 0.008)
     center = np.array([0.01, -0.02])
@@ -75,17 +75,20 @@ def test_a_shape_of_one_disc_shifts_loads_as_the_disc_does(edge, yaw):
     assert mine.status == theirs.status == ("ok" if edge == 0.07 else "tips")
     np.testing.assert_array_equal(mine.tips, theirs.tips)
     if edge == 0.07:
-        for name in ("mass", "friction", "contact_friction", "start", "length", "pose"):
+        names = ("mass", "friction", "contact_friction", "start", "length", "pose", "push_height")
+        for name in names[: None if height else -1]:
             expected = getattr(theirs.jacobian, name)
             off = np.abs(getattr(mine.jacobian, name) - expected).max()
             assert 0 <= off < 1e-6 * np.abs(expected).max(), name
 
 
 @pytest.mark.parametrize("shape", [PLATE, TIPS], ids=["plate", "tips"])
-@pytest.mark.parametrize("edge", [0.075, 0.06])
-def test_gradients_near_and_over_the_edge_are_those_of_finite_differences(edge, shape):
+@pytest.mark.parametrize(
+    ("edge", "height"), [(0.075, 0.0), (0.06, 0.0), (0.06, 0.03), (None, 0.02)]
+)
+def test_gradients_of_shifting_loads_are_those_of_finite_differences(edge, height, shape):
     bodies = make_block()
-    table = make_table(edge)
+    table = None if edge is None else make_table(edge)
     front = shape.core[:, 0].max() + shape.radius
     start = np.array([-0.058 - front, 0.006])
     center = np.array([-0.058, 0.206])
@@ -94,6 +97,7 @@ def test_gradients_near_and_over_the_edge_are_those_of_finite_differences(edge, 
     def run(x, gradients=False):
         # so slippery that the object slides along the shape, and the masses matter
         params = replace(bodies.params, mass=x[:n], friction=x[n : 2 * n], contact_friction=0.03)
+        params = replace(params, push_height=max(0.0, x[-10]))
         push = turn_slowly(shape, start=x[-9:-7], yaw=x[-7], turn=x[-6], center=x[-5:-3])
         return simulate(
             Bodies(bodies.obj, params, QUASI_STATIC),
@@ -105,8 +109,10 @@ def test_gradients_near_and_over_the_edge_are_those_of_finite_differences(edge, 
             record=[-1],
         )
 
-    # of both, in one vector: masses, frictions, start, yaw, turn, center, first pose
-    x = np.concatenate([bodies.params.mass, bodies.params.friction, start, [0.1, 0.25], center])
+    # in one vector: masses, frictions, height, start, yaw, turn, center, first pose
+    x = np.concatenate(
+        [bodies.params.mass, bodies.params.friction, [height], start, [0.1, 0.25], center]
+    )
     x = np.append(x, POSE)
     motion = run(x, gradients=True)
     assert motion.status == "ok"
@@ -119,6 +125,8 @@ def test_gradients_near_and_over_the_edge_are_those_of_finite_differences(edge, 
         "pose": (found.pose[0], numeric[:, -3:]),
         "center": (found.center[0], numeric[:, -5:-3]),
     }
+    if height:
+        exact["push_height"] = (found.push_height[0], numeric[:, 2 * n])
     for name, (mine, expected) in exact.items():
         off = np.abs(mine - expected).max()
         assert off < 1e-6 * np.abs(expected).max(), (name, off, np.abs(expected).max())

@@ -58,7 +58,8 @@ def test_the_shape_is_that_of_the_robots_own_model(robot):
     box = shapely.box(*(-np.array(SIZES[robot]) / 2), *(np.array(SIZES[robot]) / 2))
     shape = resolved.robot.shape
     assert shape.area.symmetric_difference(box).area < 1e-3 * box.area
-    assert resolved.robot.gripper is None and resolved.obj.prior.push_height is None
+    assert resolved.robot.gripper is None
+    assert resolved.obj.prior.push_height == resolved.scenario.finger.push_height
 
 
 def test_a_camera_sees_the_whole_object_though_the_gripper_is_wide():

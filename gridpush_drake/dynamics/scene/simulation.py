@@ -77,7 +77,7 @@ def simulate_together(
         SimulationError: an argument is out of range, or asks for something that is for one object
             alone.
     """
-    bodies = check_together(bodies)
+    bodies = check_together(bodies) if len(bodies) > 1 else check_shaped_push(bodies)
     used = bodies.physics
     used.check_gradients(gradients, gradients)
     n = len(bodies)
@@ -89,8 +89,9 @@ def simulate_together(
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
     J = np.empty((0, n, 3, 0))
+    support = make_support(bodies, edges) if n == 1 else NO_SUPPORT
+    shifted = support.active
     if gradients:
-        shifted = edges is not None
         width = count_scene_columns(
             bodies, push.shape is not None, shifted=shifted, with_friction=shifted
         )
@@ -108,7 +109,7 @@ def simulate_together(
         dts=dts,
         row_of_step=row_of_step,
         J=J,
-        support=NO_SUPPORT if edges is None else make_support(bodies, edges),
+        support=support,
     )
     # Rows beyond a step's contacts tell nothing; as many are kept as the step with most has.
     room = int(result.counts.max(initial=0))
@@ -135,7 +136,7 @@ def simulate_together(
         contact_gaps=result.gaps[:, :room],
         residuals=result.residuals,
         yaw=None if push.yaw is None else path.yaw,
-        _jacobian=expand_columns(bodies, J, rows, edges is not None) if gradients else None,
+        _jacobian=expand_columns(bodies, J, rows, shifted) if gradients else None,
     )
 
 
@@ -158,7 +159,7 @@ def simulate_one(
     """
     # as one of several, and then without the axis of the objects
     motion = simulate_together(
-        check_shaped_push(bodies),
+        bodies,
         push,
         pose[None],
         dt=dt,
@@ -200,8 +201,6 @@ def check_shaped_push(bodies: Bodies) -> Bodies:
         raise SimulationError(
             "regime: 'inertial' is for a pusher that is one disc; expected 'quasi_static'"
         )
-    if bodies.params.push_height > 0:
-        raise SimulationError("push_height: is for a pusher that is one disc; expected 0")
     check_table_friction(bodies.params, physics.gravity, "")
     return bodies.with_physics(physics.with_regime("quasi_static"))
 
@@ -251,7 +250,7 @@ def count_scene_columns(
 
 
 def count_load_columns(n: int, with_friction: bool) -> int:
-    """Counts the last columns of one object of n cells whose loads shift; the first stays zero."""
+    """Counts the last columns of one object of n cells whose loads shift."""
     return 1 + (n if with_friction else 0)
 
 
@@ -283,6 +282,7 @@ def expand_columns(bodies: Bodies, J: Array, rows: IntArray, shifted: bool = Fal
         steps=rows,
         mass=load if shifted else load * (friction * gravity),
         friction=J[..., at_loads + 1 :] if shifted else load * (mass * gravity),
+        push_height=J[..., at_loads] if shifted else None,
         contact_friction=J[..., cells : cells + n],
         start=J[..., at_push : at_push + 2],
         direction=J[..., at_push + 2],

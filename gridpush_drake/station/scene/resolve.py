@@ -284,11 +284,8 @@ def _push_by(obj: GridObject, scenario: PushScenario, robot: Robot) -> GridObjec
     """Returns the object with the robot's finger as the pusher in its prior.
 
     With a planar base the object cannot tip, so that every cell bears its own weight however high
-    the finger pushes: the height of the push is then left out. So it is where a gripper pushes, for
-    the model knows no shifting loads of a pusher that is no disc.
+    the finger pushes: the height of the push is then left out.
     """
-    if robot.shape is not None:
-        return replace(obj, prior=replace(obj.prior, push_height=None))
     height = scenario.finger.push_height if scenario.base == "free" else None
     prior = replace(obj.prior, pusher_radius=robot.finger.tip_radius, push_height=height)
     return replace(obj, prior=prior)

@@ -161,6 +161,8 @@ def rollout_scene(
         else:
             # Nothing moves any of them: the step is solved by rest, which depends on nothing.
             _rest(xi, contacts, work, derivative.F)
+        if support.active:
+            _find_friction(contacts, work, loads)
         record.statuses[t, 0] = status
         record.statuses[t, 1] = iterations
         record.residuals[t, 0] = work.certificate[0]
@@ -235,6 +237,22 @@ def _shift_loads(bodies, support, state, at_rest, loads, record, t):
     law, cells = take_law(bodies, 0)
     place = make_state(state.q[0], at_rest, 0.0, 0.0)
     shift_loads(law, cells, bodies.cell_size[0], support, place, loads, record, t)
+
+
+@kernel(allocates=False)
+def _find_friction(contacts, work, loads):
+    """Fills in one body's friction with the table, and the first two rows of its Hessian.
+
+    It balances the contact forces.
+    """
+    rows = work.contact.rows
+    for i in range(2):
+        loads.friction[i] = 0.0
+        for r in range(contacts.counts[0]):
+            lam = contacts.lam[r]
+            loads.friction[i] += rows[2 * r, i] * lam[0] + rows[2 * r + 1, i] * lam[1]
+        for j in range(3):
+            loads.H[i, j] = work.H[0, i, j]
 
 
 @kernel(allocates=False)

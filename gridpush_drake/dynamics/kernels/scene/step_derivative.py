@@ -17,8 +17,8 @@ Columns of the push: k of all M cells | N frictions with the pusher | P of pairs
 direction, length | the variations of the path that `PusherPath` names | first poses.
 
 Where the loads of one body shift (`support_loads`), its cells' columns are those of m_1..m_n, and
-after the first pose there is one for h, which stays zero, and, where they are wanted, n for
-mu_1..mu_n.
+after the first pose there is one for h and, where they are wanted, n for mu_1..mu_n. The friction F
+with the table is then carried along as in `forward_sensitivity`.
 """
 
 from typing import Any, NamedTuple
@@ -98,7 +98,7 @@ class Derivative(NamedTuple):
         G: (N, 3, 3) the displacement's derivative by the twist, in the new body frame.
         A: (3, 3) workspace.
         Q: (11, width) of `support_loads`: rows 0-2 the pose's variations seen from the body, rows
-            6-8 the force of each column; without columns where loads do not shift.
+            6-8 the force of each column, 9-10 F; without columns where loads do not shift.
     """
 
     F: Any
@@ -500,6 +500,13 @@ def step_columns(bodies, support, state, pusher, motion, t, eps, xi, dt, shift, 
     for row in range(3 * n):
         for column in range(width):
             S[3 * n + row, column] = dxi[row, column]
+    # F' = H2 dxi + f, and f stands there already
+    for row in range(2 if support.active else 0):
+        H = loads.H[row]
+        friction = derivative.Q[9 + row]
+        for column in range(width):
+            for i in range(3):
+                friction[column] += H[i] * dxi[i, column]
 
 
 @kernel(allocates=False)
@@ -523,12 +530,13 @@ def _add_shifting_loads(bodies, support, state, eps, xi, loads, others, derivati
         Q[0, column] = c * S[0, column] + s * S[1, column]
         Q[1, column] = c * S[1, column] - s * S[0, column]
         Q[2, column] = S[2, column]
-        for row in range(6, 11):
+        for row in range(6, 9):
             Q[row, column] = 0.0
     fill_load_derivatives(law, cells, eps, xi[0], Q[6:9, :n])
     fill_load_columns(support, cells, loads, law.k, Q, others)
     add_load_variations(loads, Q)
     inputs = count_inputs(1)
+    by_friction = n + others + 1
     for row in range(3):
         out = derivative.next_S[row]
         y0 = F[row, inputs]
@@ -540,5 +548,5 @@ def _add_shifting_loads(bodies, support, state, eps, xi, loads, others, derivati
         by_load = F[row, inputs - 1] * support.weight / support.mass.sum()
         for i in range(n):
             out[i] += by_load * support.friction[i]
-        for i in range(width - n - others - 1):
-            out[n + others + 1 + i] += by_load * support.mass[i]
+        for i in range(width - by_friction):
+            out[by_friction + i] += by_load * support.mass[i]
