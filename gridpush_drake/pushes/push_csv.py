@@ -662,6 +662,13 @@ def describe_shape(shape: PusherShape | None) -> str:
     return f"{core} {SHAPE_RADIUS} {shape.radius!r}"
 
 
+def describe_pusher(push: Push) -> dict[str, str | float]:
+    """Describes what pushes, and how it is turned, where it is no disc: `pusher`, `yaw` (rad)."""
+    if push.shape is None:
+        return {}
+    return {"pusher": describe_shape(push.shape), "yaw": float(push.yaw_at([0.0])[0])}
+
+
 def _make_rows(seen: ObservedPush, columns: int) -> Iterator[tuple[float, list[str]]]:
     """Makes the rows of a push, time and cells: one for each time at which anything is known.
 

@@ -9,6 +9,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_csv import read_shape
 
 GOAL = ("--goal", "0.15,0.1,0.8")
 TABLE = ("--table", "rectangle:0.8x0.6")
@@ -32,6 +33,26 @@ def test_writes_a_plan_that_can_be_followed(gridpush, block, tmp_path):
     with Image.open(picture) as image:
         assert image.format == "PNG"
         assert image.width > 400
+
+
+def test_a_plate_pushes_if_it_is_asked_for(gridpush, block, tmp_path):
+    out, picture = tmp_path / "plan.yaml", tmp_path / "plan.png"
+    plate = ("--pusher", "plate:0.05x0.02x0.003", "--out", out, "--picture", picture)
+    outcome = gridpush("plan", block, *GOAL, *TABLE, *plate)
+    assert outcome.code == 0, outcome.err
+    plan = yaml.safe_load(out.read_text())
+    obj = GridObject.from_yaml(block)
+    pose = plan["start"]
+    assert plan["pushes"]
+    for step in plan["pushes"]:
+        shape = read_shape(out, 1, step["pusher"])
+        assert shape.core[:, 1].max() + shape.radius == pytest.approx(0.025)
+        end = np.add(step["start"], np.multiply(step["duration"], step["velocity"]))
+        push = Push.along(
+            [0.0, step["duration"]], [step["start"], end], shape=shape, yaw=step["yaw"]
+        )
+        pose = simulate(Model(obj), push, pose, regime="quasi_static").final_pose
+        np.testing.assert_allclose(pose, step["pose"], atol=1e-5)
 
 
 def test_prints_one_json_document(gridpush, model):
@@ -90,6 +111,11 @@ def test_says_that_there_is_no_path(gridpush, block, tmp_path):
         ((*GOAL, "--table", "round:-1"), ["--table", "radius"]),
         ((*GOAL, "--obstacle", "round:x"), ["--obstacle", "round:R"]),
         ((*GOAL, "--radius", "-1"), ["--radius: radius is -1.0; expected a positive number"]),
+        (
+            (*GOAL, "--radius", "0.01", "--pusher", "discs:0.004@0,-0.02;0,0.02"),
+            ["--radius: is 0.01, the radius of a disc", "expected one of them"],
+        ),
+        ((*GOAL, "--pusher", "hand"), ["--pusher", "hand", "plate:WxTxR"]),
         ((*GOAL, "--tolerance", "0"), ["tolerance", "positive"]),
         ((*GOAL, "--speed", "0"), ["speed", "positive"]),
         (("--goal", "1e300,0,0"), ["--goal", "1e300,0,0", "x,y,theta"]),

@@ -40,6 +40,20 @@ def test_plans_draws_and_writes(gridpush, pan, tmp_path):
         assert image.width > 600
 
 
+def test_a_plate_slides_if_it_is_asked_for(gridpush, pan):
+    plate = ("--pusher", "plate:0.05x0.02x0.003", "--json")
+    outcome = gridpush("slide", pan, *TABLE, *plate)
+    assert outcome.code == 0, outcome.err
+    found = json.loads(outcome.out)
+    assert found["status"] == "ready" and found["pushes"]
+    for push in found["pushes"]:
+        assert push["pusher"].startswith("POLYGON") and push["radius"] == 0.003
+        # its front faces where it goes, but for how it slants
+        along = np.subtract(push["to"], push["from"])
+        turned = push["yaw"] - np.arctan2(along[1], along[0])
+        assert np.cos(turned) > 0.7
+
+
 def test_refuses_an_object_of_160_m_before_anything_is_planned(refuses, tmp_path, monkeypatch):
     monkeypatch.delattr("gridpush_drake.cli.run.slide.plan_pregrasp")
     plate = GridObject.from_outline(shapely.box(-80, -1, 80, 1), max_cells=40, name="plate")

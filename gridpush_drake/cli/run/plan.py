@@ -1,5 +1,6 @@
 """`gridpush plan`: plans pushes that bring an object to a goal pose."""
 
+from dataclasses import replace
 from math import degrees, isfinite
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +10,6 @@ import typer
 from gridpush_drake import report
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import print_found
-from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.object_file import speak_name
@@ -65,6 +65,7 @@ def plan(
         ),
     ] = 0.0,
     radius: options.PusherRadius = None,
+    pusher: options.PushingShape = None,
     speed: Annotated[float, typer.Option(metavar="M/S", help="Speed of the pusher, m/s.")] = 0.03,
     tolerance: Annotated[
         float,
@@ -115,13 +116,12 @@ def plan(
     surface = None if table is None else options.parse_shape("--table", table)
     obstacles = [options.parse_shape("--obstacle", text).polygon for text in obstacle or ()]
     target = options.load_target(model, largest_piece)
-    radius = options.choose_radius(radius, target.obj)
+    made = replace(options.make_pusher(radius, pusher, target.obj), speed=speed)
+    radius = made.choose_radius(target.obj)
     # a plan's pushes are all of one speed, so that the regime is decided by it, not by the model's
     rules = GoalRules(
         PushConstraints(surface, tuple(obstacles), edge_margin=-overhang),
-        ContactOptions(
-            Pusher(radius, speed), physics=target.make_physics("auto").with_regime("auto")
-        ),
+        ContactOptions(made, physics=target.make_physics("auto").with_regime("auto")),
         horizon=horizon,
         tolerance=tolerance,
         max_pushes=max_pushes,

@@ -11,7 +11,7 @@ import typer
 from gridpush_drake import report
 from gridpush_drake.cli.shell import options
 from gridpush_drake.cli.shell.console import print_found, to_json
-from gridpush_drake.dynamics.pusher import Pusher
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.objects.grid_object import GridObject
@@ -30,6 +30,7 @@ from gridpush_drake.planning.pregrasp.pregrasp_plan import (
 )
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.push_csv import describe_pusher
 from gridpush_drake.units import MM_PER_M
 from gridpush_drake.yaml_file import dump_yaml
 
@@ -79,6 +80,7 @@ def slide(
         ),
     ] = 0.003,
     radius: options.PusherRadius = None,
+    pusher: options.PushingShape = None,
     friction: Annotated[
         str | None,
         typer.Option(
@@ -131,22 +133,21 @@ def slide(
     if friction is not None:
         low, high = options.parse_numbers("--friction", friction, "min,max", "coefficients")
         bounds = (low, high)
-    radius = options.choose_radius(radius, target.obj)
+    made = options.make_pusher(radius, pusher, target.obj)
     gripper = Gripper(opening=opening, level_opening=opening, finger_depth=depth)
     limits = ANY_ARM
     if pad_force is not None:
         pads = gripper.limit_pads(target.obj, pad_force)
         limits = _limit_to_held(target.obj, surface, pads)
-    pusher = Pusher(radius)
     chosen = PreGraspOptions(
         gripper=gripper,
         pad_force=pad_force,
         goal=GoalOptions(margin=margin),
         slide=SlideOptions(
             margin=ACCEPTED_FRACTION * margin,
-            contact=replace(SlideOptions().contact, pusher=pusher),
+            contact=replace(SlideOptions().contact, pusher=made),
         ),
-        poke=PokeOptions(pusher),
+        poke=PokeOptions(made),
     )
     try:
         planner = PreGraspPlanner(target.obj, surface, chosen, limits=limits)
@@ -241,9 +242,10 @@ def _describe_grasp(goal: PreGraspGoal) -> dict[str, Any]:
     }
 
 
-def _describe_push(push: Any) -> dict[str, Any]:
+def _describe_push(push: Push) -> dict[str, Any]:
     """Returns a push for machines."""
-    return {"from": push.xy[0], "to": push.xy[-1], "duration": push.duration, "radius": push.radius}
+    place = {"from": push.xy[0], "to": push.xy[-1], "duration": push.duration}
+    return {**place, "radius": push.radius, **describe_pusher(push)}
 
 
 def _to_text(found: dict[str, Any], out: Path) -> str:

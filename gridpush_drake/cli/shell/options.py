@@ -19,6 +19,8 @@ from gridpush_drake.cli.shell.kernels import compile_all
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.pusher import (
     DEFAULT_PUSHER_RADIUS,
+    Pusher,
+    PusherShape,
     choose_pusher_radius,
     find_pusher_radius,
 )
@@ -41,6 +43,7 @@ from gridpush_drake.objects.object_file import find_shipped_object, speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import MAX_FIRST_ANGLE, MAX_TABLE
+from gridpush_drake.pushes.push_csv import PUSHER_HELP, choose_pusher
 from gridpush_drake.pushes.push_log import PushLog
 
 ObjectOrModel = Annotated[
@@ -161,6 +164,16 @@ PusherRadius = Annotated[
         metavar="M",
         help="Radius of the pusher, which is a disc, m.",
         show_default=f"what the object's file says, else {DEFAULT_PUSHER_RADIUS:g}",
+    ),
+]
+
+PushingShape = Annotated[
+    str | None,
+    typer.Option(
+        "--pusher",
+        metavar="SHAPE",
+        help=f"Shape of a pusher that is no disc: {PUSHER_HELP}",
+        show_default="a disc of --radius",
     ),
 ]
 
@@ -557,6 +570,25 @@ def choose_radius(radius: float | None, obj: GridObject) -> float:
     if radius is not None:
         require_positive(OptionError, "--radius: ", "m", radius=radius)
     return choose_pusher_radius(obj, radius)
+
+
+def make_pusher(radius: float | None, shape: str | None, obj: GridObject) -> Pusher:
+    """Makes the pusher of plans: a disc (`choose_radius`), or what `--pusher` says.
+
+    Raises:
+        OptionError: both were given, or the radius will not do.
+        PushLogError: the shape is of no form that is known.
+    """
+    if shape is None:
+        return Pusher(choose_radius(radius, obj))
+    if radius is not None:
+        raise OptionError(
+            f"--radius: is {radius:g}, the radius of a disc, and --pusher {shape}; expected one of "
+            "them"
+        )
+    made = choose_pusher("--pusher", shape, obj)
+    assert isinstance(made, PusherShape)
+    return Pusher(shape=made)
 
 
 def describe_overhanging(names: Sequence[str]) -> str:

@@ -25,6 +25,7 @@ from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import find_supported
+from gridpush_drake.pushes.push_csv import describe_pusher
 from gridpush_drake.units import MM_PER_M
 from gridpush_drake.yaml_file import dump_yaml
 
@@ -256,7 +257,7 @@ def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
     Args:
         plan: the plan.
         name: of the object.
-        radius: of the pusher, m.
+        radius: of the pusher, m; of its corners, where it is no disc.
     """
     return {
         "gridpush_plan": FORMAT_VERSION,
@@ -278,6 +279,7 @@ def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
                 "distance": planned.distance,
                 "pose": planned.pose.tolist(),
                 "error": float(error),
+                **describe_pusher(planned.push),
             }
             for planned, error in zip(plan.pushes, plan.errors, strict=True)
         ],
