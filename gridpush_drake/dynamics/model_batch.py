@@ -71,6 +71,7 @@ def simulate_models(
     q = check_vector(SimulationError, "pose", pose, 3)
     edges = find_edges_near(obj, push, q, table, inertial=False)
     if push.shape is not None:
+        # by the kernel of several contacts, one model after another
         motions = [
             simulate_one(Bodies(obj, params, physics), push, q, times=times, edges=edges)
             for params in models

@@ -25,7 +25,6 @@ from gridpush_drake.dynamics.kernels.forward_sensitivity import (
 )
 from gridpush_drake.dynamics.kernels.inputs import Pushes
 from gridpush_drake.dynamics.kernels.scene.records import PusherPath, SceneSteps
-from gridpush_drake.dynamics.kernels.scene.step_derivative import PUSH_COLUMNS
 from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.motion import RawJacobian
 from gridpush_drake.dynamics.physics import Physics
@@ -37,7 +36,11 @@ from gridpush_drake.dynamics.scene.kernel_call import (
     make_scene_state,
     run_scene_kernel,
 )
-from gridpush_drake.dynamics.scene.simulation import check_shaped_push, count_scene_columns
+from gridpush_drake.dynamics.scene.simulation import (
+    check_shaped_push,
+    count_scene_columns,
+    place_columns,
+)
 from gridpush_drake.dynamics.simulation import count_columns, find_edges_near
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
@@ -219,19 +222,19 @@ class PushBatch:
                 # With mu_i m_i held, m_i changes as 1 / mu_i.
                 held = raw.calc_friction() * params.friction - by_mass * params.mass
                 derivatives[group.rows, :, n + 6 :] = held @ changes
-        # the kernel's first columns: the cells' loads, the contact friction, and the start; and its
-        # last ones: the object's first pose
+        # of the kernel's columns the cells' loads, the contact friction and the start come first
         by_mass = params.friction * self.physics.gravity
-        poses_at = n + 1 + PUSH_COLUMNS
+        at = place_columns(Bodies(self.obj, params, self.physics), varied=False)
         for one, steps, J in self._run_shaped(params, differentiate=True, along=along):
             poses[one.rows] = steps.poses[one.wanted, 0]
             own = J[one.row_of_step[one.wanted], 0]
             shifted = shifts_loads(params, one.table)
             derivatives[one.rows, :, :n] = own[..., :n] if shifted else own[..., :n] * by_mass
             derivatives[one.rows, :, n : n + 3] = own[..., n : n + 3]
-            derivatives[one.rows, :, n + 3 : n + 6] = own[..., poses_at : poses_at + 3]
+            derivatives[one.rows, :, n + 3 : n + 6] = own[..., at.pose : at.loads]
             if one.table is not None and along is not None:
-                held = own[..., poses_at + 4 :] * params.friction - own[..., :n] * params.mass
+                # With mu_i m_i held, m_i changes as 1 / mu_i.
+                held = own[..., at.loads + 1 :] * params.friction - own[..., :n] * params.mass
                 derivatives[one.rows, :, n + 6 :] = held @ along
         return poses, derivatives
 

@@ -48,7 +48,11 @@ from gridpush_drake.dynamics.push import (
 )
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
 from gridpush_drake.dynamics.scene.cores import check_overlap
-from gridpush_drake.dynamics.scene.simulation import simulate_one, simulate_together
+from gridpush_drake.dynamics.scene.simulation import (
+    count_load_columns,
+    simulate_one,
+    simulate_together,
+)
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray, check_vector, rotate
 from gridpush_drake.objects.grid_object import GridObject
@@ -347,10 +351,7 @@ def count_columns(n: int, shifted: bool, with_friction: bool) -> int:
         with_friction: whether the cells' frictions are wanted beside their masses. Where no loads
             shift, both follow from the same columns.
     """
-    columns = n + OTHER_COLUMNS
-    if shifted:
-        columns += 1 + (n if with_friction else 0)
-    return columns
+    return n + OTHER_COLUMNS + (count_load_columns(n, with_friction) if shifted else 0)
 
 
 def calc_loads(

@@ -428,10 +428,10 @@ def choose_pusher(option: str, text: str | None, obj: GridObject) -> float | Pus
     Raises:
         PushLogError: the text is of no form that is known, or makes no shape.
     """
-    return choose_pusher_radius(obj) if text is None else _parse_pusher(option, text)
+    return choose_pusher_radius(obj) if text is None else parse_pusher(option, text)
 
 
-def _parse_pusher(option: str, text: str) -> PusherShape:
+def parse_pusher(option: str, text: str) -> PusherShape:
     """Reads a pusher's shape as a user types it.
 
     Args:

@@ -30,10 +30,6 @@ def make_table(edge):
     return np.array([(-1.0, -1.0), (edge, -1.0), (edge, 1.0), (-1.0, 1.0)])
 
 
-OVER = make_table(0.07)
-"""The block's front comes over its edge, and it does not tip."""
-
-
 def make_block(cells=20):
     obj = GridObject.from_outline(rectangle(0.1, 0.08), max_cells=cells)
     rng = np.random.default_rng(3)

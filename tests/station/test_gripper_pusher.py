@@ -46,6 +46,14 @@ def make_scenario(robot="panda", pusher="gripper", **fields):
     return PushScenario(pusher=pusher, directives=directives, **fields)
 
 
+def make_panda_task(name, scenario_name, grasping):
+    """A shipped scenario's task, with a Panda that pushes with its gripper in place of the arm."""
+    scenario = read_scenario(scenario_name)
+    scenario.directives = make_robot_directives("panda", grasping=grasping, pusher="gripper")
+    scenario.pusher = "gripper"
+    return TASK_KINDS[name].station(scenario)
+
+
 @pytest.fixture(scope="module")
 def station():
     scenario = make_scenario(base="planar", object_pose=[0.6, 0.0, 0.3])
@@ -267,10 +275,7 @@ def test_a_pusher_that_gets_to_no_place_of_the_edge_slides_nothing():
 
 @pytest.mark.slow
 def test_an_object_is_slid_to_where_it_can_be_grasped_with_a_gripper():
-    scenario = read_scenario("grasp")
-    scenario.directives = make_robot_directives("panda", grasping=True, pusher="gripper")
-    scenario.pusher = "gripper"
-    task = TASK_KINDS["slide"].station(scenario)
+    task = make_panda_task("slide", "grasp", grasping=True)
     record = task.run()
     assert (record.status, record.last.mode) == ("reached", "ready"), record.message
     assert record.last.slides > 0 and record.limit_report.ok
@@ -310,10 +315,7 @@ def test_an_object_is_pushed_to_its_goal_with_two_fingertips():
 @pytest.mark.slow
 def test_several_objects_are_brought_to_goals_with_a_gripper():
     """It comes down beside them with all of its shape, and they are learned by that."""
-    scenario = read_scenario("rearrange")
-    scenario.directives = make_robot_directives("panda", grasping=False, pusher="gripper")
-    scenario.pusher = "gripper"
-    task = TASK_KINDS["rearrange"].station(scenario)
+    task = make_panda_task("rearrange", "rearrange", grasping=False)
     record = task.run()
     assert record.status == "reached", record.message
     shape = task.station.robot.shape

@@ -20,7 +20,6 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.pusher import (
     DEFAULT_PUSHER_RADIUS,
     Pusher,
-    PusherShape,
     choose_pusher_radius,
     find_pusher_radius,
 )
@@ -43,7 +42,7 @@ from gridpush_drake.objects.object_file import find_shipped_object, speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import MAX_FIRST_ANGLE, MAX_TABLE
-from gridpush_drake.pushes.push_csv import PUSHER_HELP, choose_pusher
+from gridpush_drake.pushes.push_csv import PUSHER_HELP, parse_pusher
 from gridpush_drake.pushes.push_log import PushLog
 
 ObjectOrModel = Annotated[
@@ -586,9 +585,7 @@ def make_pusher(radius: float | None, shape: str | None, obj: GridObject) -> Pus
             f"--radius: is {radius:g}, the radius of a disc, and --pusher {shape}; expected one of "
             "them"
         )
-    made = choose_pusher("--pusher", shape, obj)
-    assert isinstance(made, PusherShape)
-    return Pusher(shape=made)
+    return Pusher(shape=parse_pusher("--pusher", shape))
 
 
 def describe_overhanging(names: Sequence[str]) -> str:

@@ -47,7 +47,6 @@ from gridpush_drake.dynamics.kernels.friction.laws import (
     begin_push,
     begin_step,
     fill_load_derivatives,
-    renew,
 )
 from gridpush_drake.dynamics.kernels.inputs import Load, make_steps, take_first_steps
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
@@ -67,8 +66,8 @@ from gridpush_drake.dynamics.kernels.step_start import advance_state, make_state
 from gridpush_drake.dynamics.kernels.support_loads import (
     add_load_variations,
     fill_load_columns,
-    find_loads,
     make_loads,
+    shift_loads,
 )
 
 _TINY_SPEED = 1e-12
@@ -356,17 +355,6 @@ def rollout_pushes(law, body, support, edges, scheme, pushes, row_of_step, poses
             modes = record.modes[t, 0] != SEPARATE or record.modes[t, 1] != SEPARATE
             if modes or record.tips[t] or record.statuses[t, 0] != STEP_CONVERGED:
                 touched[p] = True
-
-
-@kernel(allocates=False)
-def shift_loads(law, cells, cell_size, support, state, loads, record, t):
-    """Calculates what the cells bear in step t, and records its center."""
-    held = find_loads(support, cells, cell_size, state, loads, law.k)
-    renew(law)
-    center = loads.center
-    record.load_centers[t, 0] = state.x + state.c * center[0] - state.s * center[1]
-    record.load_centers[t, 1] = state.y + state.s * center[0] + state.c * center[1]
-    record.tips[t] = not held
 
 
 @kernel(allocates=False)

@@ -40,6 +40,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
+from gridpush_drake.dynamics.kernels.friction.laws import renew
 
 _NEWTON_LIMIT = 60
 """Most iterations of the search for the tilt b."""
@@ -149,6 +150,24 @@ def make_loads(support):
         total=np.zeros(3),
         H=np.zeros((2, 3)),
     )
+
+
+@kernel(allocates=False)
+def shift_loads(law, cells, cell_size, support, state, loads, record, t):
+    """Lets a law know what the cells bear in step t, and records its center, and whether it tips.
+
+    Args:
+        law: of the body; its k is changed.
+        record: with `load_centers` and `tips`.
+        t: number of the step.
+        cells, cell_size, support, state, loads: as of `find_loads`.
+    """
+    held = find_loads(support, cells, cell_size, state, loads, law.k)
+    renew(law)
+    center = loads.center
+    record.load_centers[t, 0] = state.x + state.c * center[0] - state.s * center[1]
+    record.load_centers[t, 1] = state.y + state.s * center[0] + state.c * center[1]
+    record.tips[t] = not held
 
 
 @kernel(allocates=False)

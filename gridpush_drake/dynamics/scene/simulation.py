@@ -6,6 +6,7 @@ which it is tested; `simulate` calls it where there are more.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,12 +90,12 @@ def simulate_together(
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
     J = np.empty((0, n, 3, 0))
+    # Loads shift at an edge and where the push is high, of one object alone.
     support = make_support(bodies, edges) if n == 1 else NO_SUPPORT
     shifted = support.active
+    varied = push.shape is not None
     if gradients:
-        width = count_scene_columns(
-            bodies, push.shape is not None, shifted=shifted, with_friction=shifted
-        )
+        width = count_scene_columns(bodies, varied, shifted=shifted, with_friction=shifted)
         J = np.empty((len(rows), n, 3, width))
 
     # The kernel, from rest.
@@ -136,7 +137,7 @@ def simulate_together(
         contact_gaps=result.gaps[:, :room],
         residuals=result.residuals,
         yaw=None if push.yaw is None else path.yaw,
-        _jacobian=expand_columns(bodies, J, rows, shifted) if gradients else None,
+        _jacobian=expand_columns(bodies, J, rows, varied, shifted) if gradients else None,
     )
 
 
@@ -241,12 +242,37 @@ def count_scene_columns(
         shifted: whether the loads of one object shift.
         with_friction: whether the cells' frictions are then wanted beside their masses.
     """
-    # by the cells' loads, by each kind of friction, by the push, and by the first poses
+    by_loads = count_load_columns(bodies.obj.n, with_friction) if shifted else 0
+    return place_columns(bodies, varied).loads + by_loads
+
+
+class ColumnPlaces(NamedTuple):
+    """Where the kernel's columns begin, see `kernels.scene.step_derivative`.
+
+    Attributes:
+        finger: those of the frictions with the pusher, after the M cells' loads.
+        pair: of the frictions between objects.
+        push: of the push.
+        pose: of the first poses.
+        loads: by the height of the push and by the cells' frictions, there where loads shift.
+    """
+
+    finger: int
+    pair: int
+    push: int
+    pose: int
+    loads: int
+
+
+def place_columns(bodies: Bodies, varied: bool) -> ColumnPlaces:
+    """Finds where the kernel's columns begin; the arguments are those of `count_scene_columns`."""
+    # the cells' loads come first, then each kind of friction
     n = len(bodies)
     cells = sum(obj.n for obj in bodies.objects)
-    by_push = PUSH_COLUMNS + (PATH_VARIATIONS if varied else 0)
-    by_loads = count_load_columns(cells, with_friction) if shifted else 0
-    return cells + n + n * (n - 1) // 2 + by_push + 3 * n + by_loads
+    pair = cells + n
+    push = pair + n * (n - 1) // 2
+    pose = push + PUSH_COLUMNS + (PATH_VARIATIONS if varied else 0)
+    return ColumnPlaces(finger=cells, pair=pair, push=push, pose=pose, loads=pose + 3 * n)
 
 
 def count_load_columns(n: int, with_friction: bool) -> int:
@@ -254,26 +280,24 @@ def count_load_columns(n: int, with_friction: bool) -> int:
     return 1 + (n if with_friction else 0)
 
 
-def expand_columns(bodies: Bodies, J: Array, rows: IntArray, shifted: bool = False) -> Jacobian:
+def expand_columns(
+    bodies: Bodies, J: Array, rows: IntArray, varied: bool, shifted: bool
+) -> Jacobian:
     """Makes named blocks of the kernel's columns J (R, N, 3, width), by k_i = mu_i m_i g.
 
-    Where loads shift, the columns are by masses and frictions already.
+    Where loads shift, the columns are by masses and frictions already. The other arguments are
+    those of `count_scene_columns`.
     """
     # the columns, in the kernel's order
     n = len(bodies)
-    cells = sum(obj.n for obj in bodies.objects)
-    pairs = n * (n - 1) // 2
-    # where the columns of the push, of the first poses and of shifting loads begin
-    at_push = cells + n + pairs
-    at_loads = J.shape[-1] - (count_load_columns(cells, with_friction=True) if shifted else 0)
-    at_pose = at_loads - 3 * n
-    load = J[..., :cells]
-    varied = J[..., at_push + PUSH_COLUMNS : at_pose]
+    at = place_columns(bodies, varied)
+    load = J[..., : at.finger]
+    variations = J[..., at.push + PUSH_COLUMNS : at.pose]
     by_pair = np.zeros((*J.shape[:3], n, n))
-    if pairs:
+    if n > 1:
         # one number stands in two places of the matrix
         i, j = np.triu_indices(n, 1)
-        by_pair[..., i, j] = by_pair[..., j, i] = J[..., cells + n : at_push]
+        by_pair[..., i, j] = by_pair[..., j, i] = J[..., at.pair : at.push]
     # by mass and by friction through k
     gravity = bodies.physics.gravity
     mass = np.concatenate([params.mass for params in bodies.parameters])
@@ -281,17 +305,17 @@ def expand_columns(bodies: Bodies, J: Array, rows: IntArray, shifted: bool = Fal
     return Jacobian(
         steps=rows,
         mass=load if shifted else load * (friction * gravity),
-        friction=J[..., at_loads + 1 :] if shifted else load * (mass * gravity),
-        push_height=J[..., at_loads] if shifted else None,
-        contact_friction=J[..., cells : cells + n],
-        start=J[..., at_push : at_push + 2],
-        direction=J[..., at_push + 2],
-        length=J[..., at_push + 3],
-        pose=J[..., at_pose:at_loads].reshape(*J.shape[:3], n, 3),
+        friction=J[..., at.loads + 1 :] if shifted else load * (mass * gravity),
+        push_height=J[..., at.loads] if shifted else None,
+        contact_friction=J[..., at.finger : at.pair],
+        start=J[..., at.push : at.push + 2],
+        direction=J[..., at.push + 2],
+        length=J[..., at.push + 3],
+        pose=J[..., at.pose : at.loads].reshape(*J.shape[:3], n, 3),
         pair_friction=by_pair,
-        yaw=varied[..., YAW] if varied.shape[-1] else None,
-        turn=varied[..., TURN] if varied.shape[-1] else None,
-        center=varied[..., CENTER_X : CENTER_Y + 1] if varied.shape[-1] else None,
+        yaw=variations[..., YAW] if varied else None,
+        turn=variations[..., TURN] if varied else None,
+        center=variations[..., CENTER_X : CENTER_Y + 1] if varied else None,
     )
 
 

@@ -8,7 +8,8 @@ sines and cosines alone. So
 
 for any delta, exact to round-off where delta is so small that its square vanishes: nothing is
 subtracted. That is how `step_derivative` differentiates a step by what it starts from. The sine and
-the cosine of such a number are as short, cos(x + i y) = cos x - i y sin x.
+the cosine of such a number are as short, cos(x + i y) = cos x - i y sin x. Where such a number is
+divided by a real one it is multiplied by the inverse, which the compiler does not do by itself.
 """
 
 from cmath import sqrt

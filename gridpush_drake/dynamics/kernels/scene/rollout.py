@@ -17,7 +17,6 @@ from gridpush_drake.dynamics.kernels.integrate_pose import (
     calc_displacement_maps,
     calc_turn,
 )
-from gridpush_drake.dynamics.kernels.rollout import shift_loads
 from gridpush_drake.dynamics.kernels.scene.body_laws import take_law
 from gridpush_drake.dynamics.kernels.scene.contact_rows import SceneScales
 from gridpush_drake.dynamics.kernels.scene.contacts import (
@@ -56,7 +55,7 @@ from gridpush_drake.dynamics.kernels.scene.step_derivative import (
 from gridpush_drake.dynamics.kernels.step import STEP_CONVERGED
 from gridpush_drake.dynamics.kernels.step_memory import MIN_MOVING_STEPS
 from gridpush_drake.dynamics.kernels.step_start import make_state
-from gridpush_drake.dynamics.kernels.support_loads import make_loads
+from gridpush_drake.dynamics.kernels.support_loads import make_loads, shift_loads
 
 _TINY_SPEED = 1e-12
 """Added to the scale of speeds, m/s, so that it is never zero."""
@@ -99,7 +98,7 @@ def rollout_scene(
     shift = np.zeros((n, 2))
     work = make_step_work(n, room)
     derivative = make_derivative(
-        n, cells if differentiate else 0, room if differentiate else 0, width, support.active
+        n, cells if differentiate else 0, room if differentiate else 0, width
     )
     loads = make_loads(support)
 

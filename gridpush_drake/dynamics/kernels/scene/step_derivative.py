@@ -27,6 +27,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.contact_modes import SEPARATE, SLIDE_PLUS, STICK
+from gridpush_drake.dynamics.kernels.forward_sensitivity import F_ROW
 from gridpush_drake.dynamics.kernels.friction.laws import fill_load_derivatives
 from gridpush_drake.dynamics.kernels.scene.body_laws import take_law
 from gridpush_drake.dynamics.kernels.scene.contact_rows import PAIR_COMPLIANCE, calc_compliance
@@ -98,7 +99,7 @@ class Derivative(NamedTuple):
         G: (N, 3, 3) the displacement's derivative by the twist, in the new body frame.
         A: (3, 3) workspace.
         Q: (11, width) of `support_loads`: rows 0-2 the pose's variations seen from the body, rows
-            6-8 the force of each column, 9-10 F; without columns where loads do not shift.
+            6-8 the force of each column, 9-10 F; used where loads shift.
     """
 
     F: Any
@@ -114,11 +115,8 @@ class Derivative(NamedTuple):
 
 
 @kernel()
-def make_derivative(n, cells, room, width, shifted):
-    """Makes the workspace for n bodies of so many cells in all, and `width` columns.
-
-    `shifted` says whether loads shift.
-    """
+def make_derivative(n, cells, room, width):
+    """Makes the workspace for n bodies of so many cells in all, and `width` columns."""
     inputs = count_inputs(n)
     return Derivative(
         F=np.zeros((3 * n, inputs + 3 * n)),
@@ -130,14 +128,20 @@ def make_derivative(n, cells, room, width, shifted):
         out=np.zeros(OUTPUT_COUNT, np.complex128),
         G=np.zeros((n, 3, 3)),
         A=np.zeros((3, 3)),
-        Q=np.zeros((11, width if shifted else 0)),
+        Q=np.zeros((F_ROW + 2, width)),
     )
+
+
+@kernel(allocates=False)
+def count_frictions(n):
+    """Counts the frictions of n bodies with the pusher, and of their pairs."""
+    return n + (n * (n - 1)) // 2
 
 
 @kernel(allocates=False)
 def count_inputs(n):
     """Counts the inputs of a step of n bodies."""
-    return 6 * n + TIP_COUNT + n + (n * (n - 1)) // 2 + 1
+    return 6 * n + TIP_COUNT + count_frictions(n) + 1
 
 
 @kernel(allocates=False)
@@ -187,6 +191,12 @@ def fill_step_derivative(
         if contacts.modes[r] != SEPARATE:
             row = work.place[r]
             _add_contact(bodies, state, motion, contacts, r, row, h, dt, scales, xi, derivative)
+            # All contacts are the harder, the more the cells can carry together.
+            lam = contacts.lam[r]
+            soft = compliance[0 if contacts.ids[r, SECOND_BODY] < 0 else 1] / scales.load
+            V[row, inputs - 1] -= soft * lam[0]
+            if contacts.modes[r] == STICK:
+                V[row + 1, inputs - 1] -= soft * lam[1]
 
     # First the response without contacts, S^-1 F, then that of the contact forces.
     for b in range(n):
@@ -285,14 +295,6 @@ def _add_contact(bodies, state, motion, contacts, r, row, h, dt, scales, xi, der
         V[row, column] += out[APPROACH_OUTPUT].imag / _DELTA
         if mode == STICK:
             V[row + 1, column] += out[SLIP_OUTPUT].imag / _DELTA
-    # The softer a contact, the smaller all that the cells can carry.
-    finger, pair = calc_compliance(contacts, scales)
-    softness = (finger if j < 0 else pair) / scales.load
-    by_load = count_inputs(n) - 1
-    lam = contacts.lam[r]
-    V[row, by_load] -= softness * lam[0]
-    if mode == STICK:
-        V[row + 1, by_load] -= softness * lam[1]
     if j >= 0 or not scales.disc:
         _add_pusher_speed(motion, contacts, r, n, row, dt, scales, V)
     if mode != STICK:
@@ -382,8 +384,8 @@ def start_columns(bodies, pusher, S):
 def _count_before_poses(bodies, pusher):
     """Counts the columns before those of the first poses."""
     n = bodies.cell_size.shape[0]
-    frictions = n + (n * (n - 1)) // 2
-    return bodies.first_cell[n] + frictions + PUSH_COLUMNS + pusher.variations.shape[0]
+    variations = PUSH_COLUMNS + pusher.variations.shape[0]
+    return bodies.first_cell[n] + count_frictions(n) + variations
 
 
 @kernel(allocates=False)
@@ -411,7 +413,7 @@ def step_columns(bodies, support, state, pusher, motion, t, eps, xi, dt, shift, 
     width = S.shape[1]
     inputs = count_inputs(n)
     cells = bodies.first_cell[n]
-    frictions = n + (n * (n - 1)) // 2
+    frictions = count_frictions(n)
 
     # What all columns have in common: dxi by the poses and twists at the beginning.
     for row in range(3 * n):
@@ -503,7 +505,7 @@ def step_columns(bodies, support, state, pusher, motion, t, eps, xi, dt, shift, 
     # F' = H2 dxi + f, and f stands there already
     for row in range(2 if support.active else 0):
         H = loads.H[row]
-        friction = derivative.Q[9 + row]
+        friction = derivative.Q[F_ROW + row]
         for column in range(width):
             for i in range(3):
                 friction[column] += H[i] * dxi[i, column]
@@ -530,9 +532,9 @@ def _add_shifting_loads(bodies, support, state, eps, xi, loads, others, derivati
         Q[0, column] = c * S[0, column] + s * S[1, column]
         Q[1, column] = c * S[1, column] - s * S[0, column]
         Q[2, column] = S[2, column]
-        for row in range(6, 9):
+        for row in range(6, F_ROW):
             Q[row, column] = 0.0
-    fill_load_derivatives(law, cells, eps, xi[0], Q[6:9, :n])
+    fill_load_derivatives(law, cells, eps, xi[0], Q[6:F_ROW, :n])
     fill_load_columns(support, cells, loads, law.k, Q, others)
     add_load_variations(loads, Q)
     inputs = count_inputs(1)
