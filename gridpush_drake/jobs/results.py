@@ -48,6 +48,10 @@ HASH_DIGITS = 12
 Result = TypeVar("Result")
 
 
+ADDED_LATER = {"added_later": True}
+"""Metadata of a job's field that older results do not have; see `make_key`."""
+
+
 class Results:
     """Results by job, in a file that is begun with the first of them.
 
@@ -138,8 +142,17 @@ def _find_adapter(function: Callable[[Any], Any]) -> TypeAdapter[Any]:
 
 
 def make_key(job: Any) -> str:
-    """Writes a job, a dataclass, as text: its type and all that it is compared by."""
-    compared = {field.name for field in fields(job) if field.compare}
+    """Writes a job, a dataclass, as text: its type and all that it is compared by.
+
+    A field with the metadata `ADDED_LATER` is left out where it has its default, so that results
+    that were written before there was such a field are found.
+    """
+    compared = {
+        field.name
+        for field in fields(job)
+        if field.compare
+        and not (field.metadata == ADDED_LATER and getattr(job, field.name) == field.default)
+    }
     held = {name: value for name, value in asdict(job).items() if name in compared}
     return json.dumps([type(job).__name__, held], default=str)
 

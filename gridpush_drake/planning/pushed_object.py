@@ -10,8 +10,19 @@ import numpy as np
 import shapely
 
 from gridpush_drake.dynamics.kernel_call import prepare_rollout
-from gridpush_drake.dynamics.kernels.steering.finger_push import FreeSpace, PushedModel
+from gridpush_drake.dynamics.kernels.steering.finger_push import (
+    FreeSpace,
+    PushedModel,
+    ShapedModel,
+)
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
+from gridpush_drake.dynamics.pusher import PusherShape
+from gridpush_drake.dynamics.scene.kernel_call import (
+    count_contact_room,
+    make_bodies,
+    make_tolerances,
+    make_tool,
+)
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
@@ -37,26 +48,46 @@ FIELD_ROOM = 0.3
 
 @dataclass(frozen=True)
 class FeedbackFinger:
-    """The finger that pushes with feedback: a disc whose velocity can be commanded.
+    """The finger that pushes with feedback, whose velocity can be commanded: a disc, or a shape.
 
     Attributes:
-        radius: of the disc, m.
+        radius: of the disc, or of the shape's round corners, m.
         speed: greatest speed while it pushes, m/s.
         walking_speed: greatest speed on its way round the object, m/s.
+        shape: of a finger that is no disc, such as a plate, which is steered with its angle; None
+            of a disc.
+        turning_speed: greatest speed at which such a finger turns, rad/s.
 
     Raises:
-        PlanningError: a number is not positive.
+        PlanningError: a number is not positive, or the radius is not the shape's.
     """
 
     radius: float
     speed: float = 0.1
     walking_speed: float = 0.2
+    shape: PusherShape | None = None
+    turning_speed: float = 1.5
 
     def __post_init__(self) -> None:
         require_positive(PlanningError, "finger: ", "m", radius=self.radius)
         require_positive(
             PlanningError, "finger: ", "m/s", speed=self.speed, walking_speed=self.walking_speed
         )
+        require_positive(PlanningError, "finger: ", "rad/s", turning_speed=self.turning_speed)
+        if self.shape is not None and self.shape.radius != self.radius:
+            raise PlanningError(
+                f"finger: radius is {self.radius!r}; expected {self.shape.radius!r}, the shape's"
+            )
+
+    @property
+    def reach(self) -> float:
+        """How far it reaches from its center at most, m."""
+        return self.radius if self.shape is None else self.shape.reach
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates of its place: x and y, and the angle of a shape."""
+        return 2 if self.shape is None else 3
 
 
 def make_model(
@@ -65,8 +96,9 @@ def make_model(
     radius: float,
     physics: Physics | None = None,
     *,
+    shape: PusherShape | None = None,
     approximate: bool = True,
-) -> PushedModel:
+) -> PushedModel | ShapedModel:
     """Makes a model as the compiled search takes it.
 
     Args:
@@ -74,6 +106,7 @@ def make_model(
         params: its masses and frictions.
         radius: of the finger, m.
         physics: physics of the model; its regime does not matter, for the search is quasi-static.
+        shape: of a finger that is no disc.
         approximate: whether poses may be a little off, as in `PushBatch`; not of what stands for
             the true object.
 
@@ -92,10 +125,22 @@ def make_model(
     used = used.with_regime("quasi_static")
     if not float(params.friction @ params.mass) * used.gravity > 0:
         raise PlanningError("model: expected some friction with the support")
-    law, body, support, edges, scheme = prepare_rollout(
-        Model(obj, params, used), None, approximate=approximate
-    )
+    model = Model(obj, params, used)
     corners = shapely.get_coordinates(obj.outline)
+    law, body, support, edges, scheme = prepare_rollout(model, None, approximate=approximate)
+    if shape is not None:
+        tool = make_tool(shape)
+        return ShapedModel(
+            bodies=make_bodies(model),
+            support=support,
+            tolerances=make_tolerances(used),
+            tool=tool,
+            edges=edges,
+            reach=float(np.linalg.norm(corners, axis=1).max()),
+            radius=shape.reach,
+            step=ROLLOUT_STEP,
+            contacts=count_contact_room(1, tool),
+        )
     return PushedModel(
         law=law,
         body=body,
@@ -164,7 +209,7 @@ def make_room(
         away = -_measure_depth(shapely.union_all(list(constraints.obstacles)), nodes)
         away -= constraints.obstacle_margin
         object_field = np.minimum(object_field, away)
-        finger_field = np.minimum(finger_field, away - finger.radius)
+        finger_field = np.minimum(finger_field, away - finger.reach)
     return FreeSpace(
         bounded=True,
         low=low,

@@ -37,14 +37,15 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     STATE_SIZE,
     THETA,
     TIP_X,
-    TIP_Y,
     PushedModel,
+    ShapedModel,
     X,
     follow_tip,
 )
 from gridpush_drake.dynamics.one_object import refuse_several
 from gridpush_drake.dynamics.physics import Regime
 from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
@@ -192,16 +193,24 @@ class PushWorld(Protocol):
 class SteeredWorld(PushWorld, Protocol):
     """A world in which the finger can be moved bit by bit, too, as a controller steers it."""
 
-    def steer(self, begin: Array, end: Array, duration: float, radius: float) -> None:
+    def steer(
+        self,
+        begin: Array,
+        end: Array,
+        duration: float,
+        radius: float,
+        shape: PusherShape | None = None,
+    ) -> None:
         """Moves a finger evenly between two places, and the object as far as it is touched.
 
         The object keeps the motion that it has: the next piece goes on where this one ends.
 
         Args:
-            begin: (2,) where the finger's center is, W, m.
-            end: (2,) where it is to be, W, m.
+            begin: (2,) where the finger's center is, W, m; (3,) with its angle, rad, of a shape.
+            end: where it is to be, likewise.
             duration: time for this, s.
-            radius: of the finger, m.
+            radius: of the finger, or of the shape's round corners, m.
+            shape: of a finger that is no disc.
         """
         ...
 
@@ -420,7 +429,7 @@ class SimulatedWorld(TrackedWorld):
         self.bodies = bodies
         self.surface = surface
         # Of a finger that is steered: its models by their radius, and what the last piece left.
-        self._models: dict[float, PushedModel] = {}
+        self._models: dict[float | PusherShape, PushedModel | ShapedModel] = {}
         self._state = np.zeros(STATE_SIZE)
         self._supports = [
             None if surface is None else CenterOfMassSupport(obj, center, surface)
@@ -462,7 +471,14 @@ class SimulatedWorld(TrackedWorld):
                 fell_now[b] = support.falls(poses[:, b])
         return WorldMotion(times=times, poses=poses, fell=fell_now)
 
-    def steer(self, begin: Array, end: Array, duration: float, radius: float) -> None:
+    def steer(
+        self,
+        begin: Array,
+        end: Array,
+        duration: float,
+        radius: float,
+        shape: PusherShape | None = None,
+    ) -> None:
         """Moves a finger that pushes the only object; see `SteeredWorld.steer`.
 
         The motion is quasi-static, and the table has no edge.
@@ -471,14 +487,15 @@ class SimulatedWorld(TrackedWorld):
             PlanningError: there are several objects.
         """
         refuse_several(PlanningError, "steer", len(self.bodies) > 1)
-        model = self._models.get(radius)
+        finger = radius if shape is None else shape
+        model = self._models.get(finger)
         if model is None:
-            obj, params = self.bodies.obj, self.bodies.params
-            model = make_model(obj, params, radius, self.bodies.physics, approximate=False)
-            model = self._models[radius] = model._replace(step=STEERED_STEP)
+            obj, params, physics = self.bodies.obj, self.bodies.params, self.bodies.physics
+            model = make_model(obj, params, radius, physics, shape=shape, approximate=False)
+            model = self._models[finger] = model._replace(step=STEERED_STEP)
         state = self._state
         state[X : THETA + 1] = self._pose
-        state[TIP_X : TIP_Y + 1] = begin
+        state[TIP_X : TIP_X + len(begin)] = begin
         follow_tip(model, state, end[None])
         self._pose = state[X : THETA + 1].copy()
 

@@ -25,7 +25,7 @@ from gridpush_drake.dynamics.kernels.steering.driven_disc import PX, STATE_SIZE,
 from gridpush_drake.dynamics.kernels.steering.plan_search import (
     ANGLE,
     BEND,
-    CHANGE_SIZE,
+    CHANGE_POINTS,
     LENGTH,
     PLACE,
     PRIMITIVE_SIZE,
@@ -296,7 +296,7 @@ class FeedbackController:
         rng = self._rng
         count = self.options.strokes
         radius = self.block.disc.radius
-        strokes = np.empty((count, PRIMITIVE_SIZE))
+        strokes = np.zeros((count, PRIMITIVE_SIZE))
         strokes[:, PLACE] = rng.uniform(0.0, 1.0, count)
         strokes[:, ANGLE] = rng.uniform(*ANGLES, count)
         strokes[:, LENGTH] = radius * draw_log_uniform(rng, LEADS, count)
@@ -309,6 +309,6 @@ class FeedbackController:
         # later cuts are more often useful: a plan's beginning is good already
         cuts = np.sqrt(rng.random(count))
         cuts[rng.random(count) < FROM_NOW] = 0.0
-        changes = rng.standard_normal((self.options.changes, CHANGE_SIZE))
+        changes = rng.standard_normal((self.options.changes, 2 * CHANGE_POINTS))
         sizes = radius * draw_log_uniform(rng, CHANGE_SIZES, self.options.changes)
         return Candidates(strokes=strokes, cuts=cuts, changes=changes, scales=sizes)

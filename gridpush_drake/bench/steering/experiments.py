@@ -47,6 +47,7 @@ from gridpush_drake.bench.truth.sets import FOUNDATION_KIND
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.pushes.push_csv import PUSHER_HELP, parse_pusher
 from gridpush_drake.report.table import INTERVAL_CONFIDENCE, Proportion, Table
 from gridpush_drake.units import DEG_PER_RAD, MM_PER_M, MS_PER_S
 
@@ -72,6 +73,7 @@ class FeedbackBenchOptions(StudyOptions):
         runs: runs of each kind, world, object and model; the first has the seed `seed`. Of sessions
             with a hidden weight, which have objects of their own, the number of bodies.
         episodes: number of episodes of such a session.
+        pusher: shape of a finger that is no disc, as `parse_pusher` reads it; none of sessions.
     """
 
     kinds: tuple[str, ...] | None = option(
@@ -102,6 +104,11 @@ class FeedbackBenchOptions(StudyOptions):
     episodes: int = option(
         DEFAULT_EPISODE_COUNT, "Episodes of each session with a hidden weight.", least=1
     )
+    pusher: str | None = option(
+        None,
+        f"Shape of a finger that is no disc and is steered with its angle: {PUSHER_HELP}",
+        metavar="SHAPE",
+    )
 
 
 def shorten(options: FeedbackBenchOptions) -> FeedbackBenchOptions:
@@ -127,6 +134,14 @@ def make_jobs(options: FeedbackBenchOptions) -> list[FeedbackJob | SessionJob]:
     are_sessions = set(kinds) <= set(WEIGHT_TASKS)
     worlds = options.worlds or ((FOUNDATION_KIND,) if are_sessions else STEERED_WORLDS)
     models = options.models or MODEL_NAMES
+    if options.pusher is not None:
+        # read once, so that a shape of no known form is refused before anything is done
+        parse_pusher("--pusher", options.pusher)
+        models = options.models or tuple(name for name in MODEL_NAMES if name != PRIMITIVE_PLANNER)
+        if are_sessions or PRIMITIVE_PLANNER in models:
+            raise GridPushError(
+                "pusher: strokes and sessions with a hidden weight are by a disc; expected none"
+            )
     choices = (
         ("kind", kinds, (*RUN_KINDS, *WEIGHT_TASKS)),
         ("world", worlds, STEERED_WORLDS),
@@ -144,7 +159,7 @@ def make_jobs(options: FeedbackBenchOptions) -> list[FeedbackJob | SessionJob]:
     for name in names:
         find_shipped_object(name)
     jobs: list[FeedbackJob | SessionJob] = [
-        FeedbackJob(kind, world, name, model, options.seed + i)
+        FeedbackJob(kind, world, name, model, options.seed + i, options.pusher or "")
         for kind in kinds
         if kind in RUN_KINDS
         for world in worlds

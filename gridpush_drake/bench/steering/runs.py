@@ -14,7 +14,7 @@ are in `bench.steering.worlds`, tables in `bench.steering.experiments`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import thread_time
 from typing import Any
 
@@ -32,6 +32,7 @@ from gridpush_drake.bench.steering.worlds import (
 from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.geometry.se2 import Array, make_direction, transform
 from gridpush_drake.identification.model import Model
+from gridpush_drake.jobs.results import ADDED_LATER
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_offset
@@ -50,7 +51,9 @@ from gridpush_drake.planning.feedback.steered_finger import (
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import PushRun, push_to_goal
 from gridpush_drake.planning.loop_run import Learner
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.planning.world import SimulatedWorld
+from gridpush_drake.pushes.push_csv import parse_pusher
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.base.messages import PushCommand
 from gridpush_drake.systems.execution.push_executor import (
@@ -123,6 +126,8 @@ class FeedbackJob:
         name: name of the object.
         model: what is planned with.
         seed: of everything.
+        pusher: shape of a finger that is no disc, as `parse_pusher` reads it; empty of
+            STEERED_FINGER. The body is poked by STEERED_FINGER in any case.
     """
 
     kind: str
@@ -130,10 +135,20 @@ class FeedbackJob:
     name: str
     model: str
     seed: int
+    pusher: str = field(default="", metadata=ADDED_LATER)
 
     def describe(self) -> str:
         """The run in a few words."""
-        return f"{self.kind}, {self.world}, {self.name} {self.seed}, {self.model}"
+        what = f"{self.kind}, {self.world}, {self.name} {self.seed}, {self.model}"
+        return f"{what}, {self.pusher}" if self.pusher else what
+
+    @property
+    def finger(self) -> FeedbackFinger:
+        """The finger that is steered."""
+        if not self.pusher:
+            return STEERED_FINGER
+        shape = parse_pusher("pusher", self.pusher)
+        return replace(STEERED_FINGER, radius=shape.radius, shape=shape)
 
 
 @dataclass(frozen=True)
@@ -188,23 +203,29 @@ def make_path(obj: GridObject) -> tuple[PosePath, Array]:
     return PosePath.through(obj, points, PATH_SPEED, -side), pose
 
 
-def place_finger(obj: GridObject, pose: Array, direction: float) -> Array:
-    """Finds a place (2,) of the finger beside the object, W, m, in a direction from it, rad."""
-    path_progress = make_direction(np.array(direction))
+def place_finger(
+    obj: GridObject, pose: Array, direction: float, finger: FeedbackFinger = STEERED_FINGER
+) -> Array:
+    """Finds a place (2,) of a finger beside the object, W, m, in a direction from it, rad.
+
+    One that is no disc faces the object there, at (3,).
+    """
+    away = make_direction(np.array(direction))
     corners = transform(pose, shapely.get_coordinates(obj.outline))
     center = transform(pose, obj.p_BC.mean(axis=0)[None])[0]
-    reach = float(((corners - center) @ path_progress).max()) + STEERED_FINGER.radius + START_GAP
-    return np.asarray(center + reach * path_progress)
+    reach = float(((corners - center) @ away).max()) + finger.reach + START_GAP
+    return np.append(center + reach * away, direction + np.pi)[: finger.coordinates]
 
 
 def run_job(job: FeedbackJob) -> Followed:
     """Does one run."""
+    finger = job.finger
     case = make_case(job.world, job.name, job.seed, learns=job.model in POKING_MODELS)
     rng = np.random.default_rng((job.seed, 52))
     obj = case.obj
     if job.kind == PATH_RUN:
         path, pose = make_path(obj)
-        world = case.make_finger(pose, place_finger(obj, pose, np.pi))
+        world = case.make_finger(pose, place_finger(obj, pose, np.pi, finger), finger.shape)
         follower = make_follower(job, case, path)
         run, decision = time_run(job, case, follower, world)
         path_progress = PathProgress(obj, path)
@@ -230,7 +251,7 @@ def run_job(job: FeedbackJob) -> Followed:
     heading = rng.uniform(-np.pi, np.pi)
     shift = GOAL_DISTANCE * make_direction(np.array(heading))
     goal = pose + [*shift, rng.uniform(-GOAL_TURN, GOAL_TURN)]
-    tip = place_finger(obj, pose, heading + rng.uniform(-np.pi, np.pi))
+    tip = place_finger(obj, pose, heading + rng.uniform(-np.pi, np.pi), finger)
     if job.model == PRIMITIVE_PLANNER:
         return run_strokes(job, case, pose, goal, tip)
     if job.kind == DISTURBED_RUN:
@@ -238,8 +259,8 @@ def run_job(job: FeedbackJob) -> Followed:
         pose = goal.copy()
         displacement = DISTURBANCE_DISTANCE * make_direction(rng.uniform(-np.pi, np.pi))
         pose += [*displacement, DISTURBANCE_TURN * rng.choice([-1.0, 1.0])]
-        tip = place_finger(obj, pose, heading)
-    world = case.make_finger(pose, tip)
+        tip = place_finger(obj, pose, heading, finger)
+    world = case.make_finger(pose, tip, finger.shape)
     run, decision = time_run(job, case, make_follower(job, case, goal), world)
     reached = run.status == FollowStatus.REACHED
     return make_result(
@@ -267,7 +288,7 @@ class TimedFollower(PushFollower):
         self.times: list[float] = []
 
     def decide(
-        self, time: float, tip: ArrayLike, *, lead: float = 0.0, velocity: ArrayLike = (0.0, 0.0)
+        self, time: float, tip: ArrayLike, *, lead: float = 0.0, velocity: ArrayLike | None = None
     ) -> FollowDecision:
         """Decides, and takes the time."""
         begin = thread_time()
@@ -289,7 +310,7 @@ def make_follower(
         params = case.learned.params
         draws = case.learned.draws(options.ensemble, job.seed)
     return TimedFollower(
-        case.obj, params, goal, STEERED_FINGER, draws=draws, options=options, seed=job.seed
+        case.obj, params, goal, job.finger, draws=draws, options=options, seed=job.seed
     )
 
 

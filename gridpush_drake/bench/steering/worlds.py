@@ -10,6 +10,7 @@ from shapely import Point
 from gridpush_drake.bench.truth.mujoco_world import MujocoWorld, TruthBody
 from gridpush_drake.bench.truth.sets import FOUNDATION_KIND, THREE_FEET, draw_masses, make_body
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
@@ -60,8 +61,13 @@ MAX_POKE_TRIES = 200
 class FingerMaker(Protocol):
     """Makes a world with the hidden body, and a finger that is steered there."""
 
-    def __call__(self, pose: ArrayLike, tip: ArrayLike) -> SteeredFinger:
-        """Puts the object down at a pose (3,), and the finger at a place (2,)."""
+    def __call__(
+        self, pose: ArrayLike, tip: ArrayLike, shape: PusherShape | None = None
+    ) -> SteeredFinger:
+        """Puts the object down at a pose (3,), and the finger at a place (2,).
+
+        A finger of another shape than STEERED_FINGER's is put down at (3,), with its angle, rad.
+        """
         ...
 
 
@@ -137,9 +143,12 @@ def put_body(
             seed=seed,
         )
 
-        def make_finger(pose: ArrayLike, tip: ArrayLike) -> SteeredFinger:
+        def make_finger(
+            pose: ArrayLike, tip: ArrayLike, shape: PusherShape | None = None
+        ) -> SteeredFinger:
             world = SimulatedWorld(Model(obj, truth), pose)
-            return SteeredFinger(world, tip, STEERED_FINGER.radius, POSE_SENSOR, seed)
+            radius = STEERED_FINGER.radius if shape is None else shape.radius
+            return SteeredFinger(world, tip, radius, POSE_SENSOR, seed, shape)
 
     else:
         body = make_body(world, obj, truth, rng)
@@ -151,9 +160,12 @@ def put_body(
             seed=seed,
         )
 
-        def make_finger(pose: ArrayLike, tip: ArrayLike) -> SteeredFinger:
-            world = MujocoWorld(body, STEERED_FINGER.radius, pose=pose)
-            return SteeredFinger(world, tip, STEERED_FINGER.radius, POSE_SENSOR, seed)
+        def make_finger(
+            pose: ArrayLike, tip: ArrayLike, shape: PusherShape | None = None
+        ) -> SteeredFinger:
+            radius = STEERED_FINGER.radius if shape is None else shape.radius
+            world = MujocoWorld(body, shape or radius, pose=pose)
+            return SteeredFinger(world, tip, radius, POSE_SENSOR, seed, shape)
 
     return pokes_world, make_finger
 

@@ -317,20 +317,33 @@ class MujocoWorld(TrackedWorld):
             times=times, poses=poses, fell=bool((tilt >= FALLEN_TILT).any()), tilt=tilt
         )
 
-    def steer(self, begin: Array, end: Array, duration: float, radius: float) -> None:
-        """Moves the pusher evenly between two places (2,), m; see `SteeredWorld.steer`.
+    def steer(
+        self,
+        begin: Array,
+        end: Array,
+        duration: float,
+        radius: float,
+        shape: PusherShape | None = None,
+    ) -> None:
+        """Moves the pusher evenly between two places; see `SteeredWorld.steer`.
 
         Raises:
-            PlanningError: the radius is not that of this world's pusher.
+            PlanningError: the radius or the shape is not that of this world's pusher.
         """
         if radius != self.radius:
             raise PlanningError(f"radius is {radius!r}; expected {self.radius:g} m, the pusher's")
+        if shape is not self.shape:
+            raise PlanningError("shape: not that of this world's pusher; expected the same one")
         dt = self.body.time_step
         count = max(1, round(duration / dt))
         speed = (end - begin) / (count * dt)
         for i in range(count):
-            self._data.qpos[7:9] = begin + i / count * (end - begin)
-            self._data.qvel[6:8] = speed
+            place = begin + i / count * (end - begin)
+            self._data.qpos[7:9] = place[:2]
+            self._data.qvel[6:8] = speed[:2]
+            if shape is not None:
+                self._data.qpos[10] = place[2]
+                self._data.qvel[9] = speed[2]
             self._step()
         self._pose = self._read_pose(self._pose[2])
 

@@ -143,14 +143,27 @@ def make_scene_state(poses: Array) -> BodyStates:
     )
 
 
+def count_contact_room(n: int, tool: Tool | None = None) -> int:
+    """Counts the contacts of n bodies for which there is room; as of `make_scene_contacts`."""
+    room = CONTACTS_A_BODY * n
+    if n == 1 and tool is not None and not tool.joined:
+        room = min(room, CONTACTS_A_DISC * len(tool.core.ax))
+    return room
+
+
+def make_tolerances(physics: Physics) -> Tolerances:
+    """Collects how steps are taken."""
+    return Tolerances(
+        ahead=physics.ahead, relative_stiction=float(physics.relative_stiction_tolerance)
+    )
+
+
 def make_scene_contacts(n: int, tool: Tool | None = None) -> Contacts:
     """Makes room for the contacts of n bodies; none is there.
 
     A body alone needs less room where the pusher is known to be a `tool` of discs.
     """
-    room = CONTACTS_A_BODY * n
-    if n == 1 and tool is not None and not tool.joined:
-        room = min(room, CONTACTS_A_DISC * len(tool.core.ax))
+    room = count_contact_room(n, tool)
     return Contacts(
         ids=np.zeros((room, IDENTITY_SIZE), np.int64),
         numbers=np.zeros((room, CONTACT_SIZE)),
@@ -262,14 +275,11 @@ def run_scene_kernel(
         load_centers=np.full((steps, 2), np.nan),
         tips=np.zeros(steps, np.bool_),
     )
-    tolerances = Tolerances(
-        ahead=physics.ahead, relative_stiction=float(physics.relative_stiction_tolerance)
-    )
     rollout_scene(
         bodies=bodies._replace(laws=copy_laws(bodies.laws)),
         support=support,
         pusher=pusher,
-        tolerances=tolerances,
+        tolerances=make_tolerances(physics),
         state=state,
         contacts=contacts,
         dts=dts,

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from gridpush_drake.geometry.se2 import Array, make_direction, transform
+from gridpush_drake.geometry.se2 import Array, make_direction, transform, wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -82,13 +82,13 @@ class FollowProgress:
     """What was seen while the finger was steered, from which is learned before a further path.
 
     Attributes:
-        tips: (time, x, y) of the finger's center, s and m.
+        tips: (time, x, y) of the finger's center, s and m; (time, x, y, yaw) of a shape.
         seen: poses that came.
         path: the path that was followed last; None before the first.
         progress: how far the object came on it, m.
     """
 
-    tips: tuple[tuple[float, float, float], ...] = ()
+    tips: tuple[tuple[float, ...], ...] = ()
     seen: tuple[SeenPose, ...] = ()
     path: PosePath | None = None
     progress: float = 0.0
@@ -103,7 +103,8 @@ class Prepared:
         reason: the status in a sentence; empty where there is a path.
         path: the path; None where there is none.
         follower: steers along the path; None where there is none.
-        places: (K, 2) where the finger may come down, W, the best first, m.
+        places: (K, 2) where the finger may come down, W, the best first, m; (K, 3) with the angle,
+            rad, of one that is no disc.
     """
 
     status: FollowStatus
@@ -158,9 +159,9 @@ def learn_on(
         pokes: the pokes.
         follow_run: what was seen while the finger was steered.
     """
-    log = FollowLog(obj, rules.finger.radius)
-    for time, x, y in follow_run.tips:
-        log.add_tip(time, np.array([x, y]))
+    log = FollowLog(obj, rules.finger.radius, shape=rules.finger.shape)
+    for time, *tip in follow_run.tips:
+        log.add_tip(time, np.array(tip))
     for each in follow_run.seen:
         log.add_pose(each)
     pieces = log.cut()[-MAX_PIECES:]
@@ -214,9 +215,10 @@ def prepare(obj: GridObject, learned: Identification, pose: Array, rules: Follow
 
 
 def find_places(obj: GridObject, pose: Array, path: PosePath, rules: FollowRules) -> Array:
-    """Finds places (K, 2) beside the object where the finger may come down, W, m.
+    """Finds places (K, D) beside the object where the finger may come down, W, m.
 
-    The best, which is behind the object as its path begins, is the first.
+    The best, which is behind the object as its path begins, is the first. A finger that is no disc
+    faces the object.
     """
     # Behind the object is where it comes from, seen from where its path leads first.
     centers = transform(path.poses, obj.p_BC.mean(axis=0)[None])[:, 0]
@@ -230,15 +232,16 @@ def find_places(obj: GridObject, pose: Array, path: PosePath, rules: FollowRules
     outline = shapely.Polygon(transform(pose, shapely.get_coordinates(obj.outline)))
     corners = shapely.get_coordinates(outline)
     room = rules.constraints
-    radius = rules.finger.radius
+    radius = rules.finger.reach
+    size = rules.finger.coordinates
     places = []
     for turn in turns:
         way = make_direction(np.array(behind + turn))
         reach = float(((corners - center) @ way).max()) + radius + APPROACH_GAP
         place = center + reach * way
         if _allows_finger(room, place, radius):
-            places.append(place)
-    return np.array(places).reshape(-1, 2)
+            places.append(np.append(place, wrap_angle(behind + turn + np.pi))[:size])
+    return np.array(places).reshape(-1, size)
 
 
 def _allows_finger(rules: PushConstraints, place: Array, radius: float) -> bool:
@@ -254,22 +257,23 @@ def _allows_finger(rules: PushConstraints, place: Array, radius: float) -> bool:
 
 def decide(
     follower: PushFollower,
-    tips: Sequence[tuple[float, float, float]],
+    tips: Sequence[tuple[float, ...]],
     seen: Sequence[SeenPose],
     learned: Identification | None = None,
     *,
     lead: float = 0.0,
-    velocity: ArrayLike = (0.0, 0.0),
+    velocity: ArrayLike | None = None,
 ) -> tuple[PushFollower, FollowDecision]:
     """Tells a copy of a follower what was seen since the last decision, and lets it decide.
 
     Args:
         follower: what decides; it stays as it is.
-        tips: (time, x, y) of the finger's center, s and m; the last one is now.
+        tips: (time, x, y) of the finger's center, s and m, or (time, x, y, yaw) of a shape; the
+            last one is now.
         seen: poses that came.
         learned: what was learned meanwhile; None if nothing was.
         lead: time until the finger will do what is decided, s.
-        velocity: (2,) of the finger until then, W, m/s.
+        velocity: (2,) of the finger until then, W, m/s, or (3,) with rad/s; at rest if None.
 
     Returns:
         The copy, and what it decided.
@@ -277,9 +281,9 @@ def decide(
     after = follower.copy()
     if learned is not None:
         after.set_model(learned.params, learned.draws(after.options.ensemble))
-    for time, x, y in tips:
-        after.add_tip(time, (x, y))
+    for time, *tip in tips:
+        after.add_tip(time, tip)
     for each in seen:
         after.add_pose(each.time, each.pose)
-    time, x, y = tips[-1]
-    return after, after.decide(time, (x, y), lead=lead, velocity=velocity)
+    time, *tip = tips[-1]
+    return after, after.decide(time, tip, lead=lead, velocity=velocity)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
@@ -51,15 +52,23 @@ class FollowLog:
         obj: the object.
         radius: of the finger, m.
         piece: duration of a piece, s.
+        shape: of a finger that is no disc; None of a disc.
     """
 
-    def __init__(self, obj: GridObject, radius: float, piece: float = PIECE_DURATION) -> None:
+    def __init__(
+        self,
+        obj: GridObject,
+        radius: float,
+        piece: float = PIECE_DURATION,
+        shape: PusherShape | None = None,
+    ) -> None:
         """Begins with nothing.
 
         Args:
             obj: the object.
-            radius: of the finger, m.
+            radius: of the finger, or of the shape's round corners, m.
             piece: duration of a piece, s.
+            shape: of a finger that is no disc.
 
         Raises:
             PlanningError: a number is not positive.
@@ -69,12 +78,16 @@ class FollowLog:
         self.obj = obj
         self.radius = radius
         self.piece = piece
+        self.shape = shape
         self._times: list[float] = []
         self._tips: list[Array] = []
         self._seen: list[SeenPose] = []
 
     def add_tip(self, time: float, tip: Array) -> None:
-        """Takes in where the finger's center is, (2,) m, at a time, s; times increase."""
+        """Takes in where the finger's center is, (2,) m, at a time, s; times increase.
+
+        Of a shape it is (3,), with its angle, rad.
+        """
         if not self._times or time > self._times[-1]:
             self._times.append(float(time))
             self._tips.append(np.array(tip, dtype=np.float64))
@@ -113,13 +126,18 @@ class FollowLog:
         tips = np.array(self._tips)
         inside = (times > begin) & (times < end)
         t = np.concatenate([[begin], times[inside], [end]])
-        xy = np.column_stack([np.interp(t, times, tips[:, i]) for i in range(2)])
+        places = np.column_stack([np.interp(t, times, column) for column in tips.T])
+        xy = places[:, :2]
         if not np.linalg.norm(np.diff(xy, axis=0), axis=1).sum() > LEAST_WAY:
             return None
+        if self.shape is None:
+            push = Push.along(t, xy, self.radius)
+        else:
+            push = Push.along(t, xy, shape=self.shape, yaw=places[:, 2])
         rows = np.unique(np.linspace(1, len(seen) - 1, OBSERVED_POSE_COUNT).round().astype(int))
         return ObservedPush(
             name=name,
-            push=Push.along(t, xy, self.radius),
+            push=push,
             pose=poses[0],
             t_observed=np.array([seen[i].time - begin for i in rows]),
             poses_observed=poses[rows],

@@ -163,7 +163,8 @@ class FollowDecision:
     """What a controller decided.
 
     Attributes:
-        velocity: (2,) of the finger, W, m/s, until the next decision.
+        velocity: (2,) of the finger, W, m/s, until the next decision; (3,) with rad/s of one that
+            is no disc.
         status: what the controller does.
         reason: the status in a sentence; empty while it pushes and the finger moves.
         pose: (3,) where the object is now, as the controller thinks, m and rad; NaN before it was

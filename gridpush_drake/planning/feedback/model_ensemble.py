@@ -25,7 +25,8 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     STATE_SIZE,
     THETA,
     TIP_X,
-    TIP_Y,
+    PushedModel,
+    ShapedModel,
     X,
     follow_tip,
 )
@@ -34,7 +35,7 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pushed_object import make_model
+from gridpush_drake.planning.pushed_object import FeedbackFinger, make_model
 
 LEAST_MASS = 1e-4
 """Least mass of a cell after a correction, as a fraction of the mean cell's."""
@@ -90,7 +91,7 @@ class ModelEnsemble:
         obj: GridObject,
         params: CellParameters,
         draws: Sequence[CellParameters],
-        radius: float,
+        finger: FeedbackFinger,
         physics: Physics | None = None,
         options: EnsembleOptions | None = None,
     ) -> None:
@@ -100,7 +101,7 @@ class ModelEnsemble:
             obj: the object.
             params: the estimate.
             draws: other models that may be the true one; with less than two nothing is corrected.
-            radius: of the finger, m.
+            finger: the finger.
             physics: physics of the models.
             options: how they are corrected.
 
@@ -111,14 +112,14 @@ class ModelEnsemble:
         self.corrections = 0
         self._obj = obj
         self._params = params
-        self._radius = radius
+        self._finger = finger
         self._physics = physics
         self._estimate = _to_numbers(params)
         drawn = np.array([_to_numbers(each) for each in draws]).reshape(-1, len(self._estimate))
         self._deviations = drawn - drawn.mean(axis=0) if len(drawn) else drawn
         self._first_spread = float(np.linalg.norm(self._deviations))
         # What was drawn is used as it is, until something was seen.
-        self.models = [make_model(obj, each, radius, physics) for each in (params, *draws)]
+        self.models = [self._make_model(each) for each in (params, *draws)]
         self.forget()
 
     def copy(self) -> "ModelEnsemble":
@@ -135,7 +136,7 @@ class ModelEnsemble:
         self._tips: list[Array] = []
 
     def add(self, time: float, pose: Array, tips: Array) -> bool:
-        """Takes in a filtered pose (3,) of a time, s, and the finger's path (K, 2) to there, m.
+        """Takes in a filtered pose (3,) of a time, s, and the finger's path (K, D) to there, m.
 
         Returns:
             Whether the models were corrected.
@@ -156,7 +157,7 @@ class ModelEnsemble:
         # from here on
         self._begin = np.zeros(STATE_SIZE)
         self._begin[X : THETA + 1] = pose
-        self._begin[TIP_X : TIP_Y + 1] = tips[-1]
+        self._begin[TIP_X : TIP_X + tips.shape[1]] = tips[-1]
         self._begun_at = time
         self._tips = []
         return corrects
@@ -201,7 +202,12 @@ class ModelEnsemble:
                 mass=np.maximum(numbers[:-1], least),
                 contact_friction=float(np.clip(numbers[-1], *CONTACT_FRICTIONS)),
             )
-            self.models.append(make_model(self._obj, params, self._radius, self._physics))
+            self.models.append(self._make_model(params))
+
+    def _make_model(self, params: CellParameters) -> PushedModel | ShapedModel:
+        """Makes a model of parameters, as the compiled search takes it."""
+        finger = self._finger
+        return make_model(self._obj, params, finger.radius, self._physics, shape=finger.shape)
 
     def _measure(self, off: Array) -> float:
         """Size of a difference of poses (3,), m."""

@@ -22,9 +22,9 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     STATE_SIZE,
     THETA,
     TIP_X,
-    TIP_Y,
     FreeSpace,
     PushedModel,
+    ShapedModel,
     X,
     follow_tip,
 )
@@ -151,10 +151,10 @@ def plan_pose_path(
     if blocked:
         return _refuse(FollowStatus.GOAL_BLOCKED)
     # what can be done from anywhere, where that may be done, and how far it is to the goal
-    pushed = make_model(obj, model.params, finger.radius, model.physics)
+    pushed = make_model(obj, model.params, finger.radius, model.physics, shape=finger.shape)
     moves = _try_moves(obj, pushed, finger)
     room = make_room(obj, rules, finger, np.array([begin[:2], aim[:2]]))
-    cost_to_go = CostToGo(obj, begin, aim, rules.start_at(obj, begin, finger.radius))
+    cost_to_go = CostToGo(obj, begin, aim, rules.start_at(obj, begin, finger.reach))
     if not np.isfinite(cost_to_go.calc_cost(begin)):
         return _refuse(FollowStatus.PATH_BLOCKED)
     poses, expanded = _search(obj, begin, aim, moves, room, cost_to_go)
@@ -168,9 +168,10 @@ def _refuse(status: FollowStatus, expanded: int = 0) -> PathPlan:
     return PathPlan(None, status, FOLLOW_REASONS[status], expanded)
 
 
-def _try_moves(obj: GridObject, model: PushedModel, finger: FeedbackFinger) -> _Moves:
+def _try_moves(obj: GridObject, model: PushedModel | ShapedModel, finger: FeedbackFinger) -> _Moves:
     """Simulates all short pushes, and keeps those that move the object."""
-    ways = make_outline_path(obj.outline, finger.radius)
+    ways = make_outline_path(obj.outline, finger.radius, finger.shape)
+    begins = ways.touch if finger.shape is None else ways.near
     chosen = np.arange(0, len(ways.touch), max(1, len(ways.touch) // PLACE_COUNT))
     perimeter = float(obj.outline.buffer(finger.radius).exterior.length)
     poses = []
@@ -179,15 +180,17 @@ def _try_moves(obj: GridObject, model: PushedModel, finger: FeedbackFinger) -> _
     for i in chosen:
         for angle in MOVE_ANGLES:
             state = np.zeros(STATE_SIZE)
-            state[TIP_X : TIP_Y + 1] = ways.touch[i]
-            step = MOVE_LENGTH / POSES_PER_MOVE * make_direction(ways.inward[i] + angle)
+            tip = np.append(begins[i], ways.inward[i])[: finger.coordinates]
+            state[TIP_X : TIP_X + len(tip)] = tip
+            step = np.zeros(len(tip))
+            step[:2] = MOVE_LENGTH / POSES_PER_MOVE * make_direction(ways.inward[i] + angle)
             way = np.empty((POSES_PER_MOVE, 3))
             for k in range(POSES_PER_MOVE):
-                follow_tip(model, state, (ways.touch[i] + (k + 1) * step)[None])
+                follow_tip(model, state, (tip + (k + 1) * step)[None])
                 way[k] = state[X : THETA + 1]
             if calc_goal_error(obj, way[-1], np.zeros(3)) > LEAST_MOVE * MOVE_LENGTH:
                 poses.append(way)
-                tips.append(ways.touch[i])
+                tips.append(begins[i])
                 places.append(i / len(ways.touch) * perimeter)
     return _Moves(np.array(poses), np.array(tips), np.array(places), perimeter)
 

@@ -14,10 +14,11 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     THETA,
     FreeSpace,
     PushedModel,
+    ShapedModel,
     X,
 )
 from gridpush_drake.geometry.se2 import Array, transform, wrap_angle
-from gridpush_drake.planning.feedback.push_search import TrackingCost, roll_plans
+from gridpush_drake.planning.feedback.push_search import PushMoves, TrackingCost, roll_plans
 
 KNOT_COUNT = 4
 """Places of a plan on a path that are moved by the refinement, with straight lines between."""
@@ -36,12 +37,12 @@ STEP_SIZES = np.array([1.0, 0.5, 0.2, 0.05])
 
 
 def refine_plan(
-    models: Sequence[PushedModel],
+    models: Sequence[PushedModel | ShapedModel],
     cost_terms: TrackingCost,
     room: FreeSpace,
     state: Array,
     plan: Array,
-    longest: float,
+    moves: PushMoves,
 ) -> bool:
     """Takes one damped step of the method, and keeps the best of a few lengths of it.
 
@@ -50,27 +51,32 @@ def refine_plan(
         cost_terms: what the object should do: follow a path.
         room: where object and finger may be.
         state: (STATE_SIZE,) now.
-        plan: (T, 2) places of the finger, W, m; changed where the step makes it better.
-        longest: farthest that the finger may go in a decision, m.
+        plan: (T, D) places of the finger, W, m, and angles, rad, of one that is no disc; changed
+            where the step makes it better.
+        moves: how far the finger may go and turn in a decision.
 
     Returns:
         Whether it got better.
     """
-    count = len(plan)
+    count, size = plan.shape
     corners = np.linspace(0.0, count - 1.0, KNOT_COUNT)
-    moves = np.zeros((2 * KNOT_COUNT, count, 2))
+    shifts = np.zeros((size * KNOT_COUNT, count, size))
+    # a turn by which the farthest point of the finger moves as far as all of it by a shift
+    units = np.ones(size)
+    if size > 2:
+        units[2] = 1.0 / models[0].radius
     for i in range(KNOT_COUNT):
-        shape = np.interp(np.arange(count), corners, np.eye(KNOT_COUNT)[i])
-        moves[i, :, 0] = shape
-        moves[KNOT_COUNT + i, :, 1] = shape
+        bump = np.interp(np.arange(count), corners, np.eye(KNOT_COUNT)[i])
+        for j in range(size):
+            shifts[j * KNOT_COUNT + i, :, j] = units[j] * bump
 
     # Normal equations of all models together.
-    tried = np.concatenate([plan[None], plan[None] + DIFFERENCE_STEP * moves])
-    H = np.zeros((2 * KNOT_COUNT, 2 * KNOT_COUNT))
-    gradient = np.zeros(2 * KNOT_COUNT)
+    tried = np.concatenate([plan[None], plan[None] + DIFFERENCE_STEP * shifts])
+    H = np.zeros((len(shifts), len(shifts)))
+    gradient = np.zeros(len(shifts))
     before = 0.0
     for model in models:
-        states, costs = _roll(model, cost_terms, room, state, tried.copy(), longest)
+        states, costs = _roll(model, cost_terms, room, state, tried.copy(), moves)
         if not np.isfinite(costs[0]):
             return False
         residuals = _calc_residuals(cost_terms, states)
@@ -83,11 +89,11 @@ def refine_plan(
     step = np.linalg.solve(H + damping * np.eye(len(H)), -gradient)
 
     # The best of a few lengths of the step.
-    shift = np.tensordot(step, moves, axes=1)
+    shift = np.tensordot(step, shifts, axes=1)
     tried = plan[None] + STEP_SIZES[:, None, None] * shift[None]
     total = np.zeros(len(STEP_SIZES))
     for model in models:
-        _, costs = _roll(model, cost_terms, room, state, tried.copy(), longest)
+        _, costs = _roll(model, cost_terms, room, state, tried.copy(), moves)
         total += costs
     best = int(total.argmin())
     if not total[best] < before:
@@ -97,14 +103,14 @@ def refine_plan(
 
 
 def _roll(
-    model: PushedModel,
+    model: PushedModel | ShapedModel,
     cost_terms: TrackingCost,
     room: FreeSpace,
     state: Array,
     plans: Array,
-    longest: float,
+    moves: PushMoves,
 ) -> tuple[Array, Array]:
-    """Follows plans (P, T, 2) by a model; returns states (P, T + 1, STATE_SIZE), costs (P,)."""
+    """Follows plans (P, T, D) by a model; returns states (P, T + 1, STATE_SIZE), costs (P,)."""
     states = np.empty((len(plans), plans.shape[1] + 1, STATE_SIZE))
     costs = np.empty(len(plans))
     roll_plans(
@@ -113,7 +119,7 @@ def _roll(
         room,
         start=state,
         targets=plans,
-        longest=longest,
+        moves=moves,
         states=states,
         costs=costs,
     )

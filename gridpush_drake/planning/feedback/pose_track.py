@@ -32,8 +32,8 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     STATE_SIZE,
     THETA,
     TIP_X,
-    TIP_Y,
     PushedModel,
+    ShapedModel,
     X,
     follow_tip,
 )
@@ -173,7 +173,10 @@ class PoseTrack:
         self._way = 0.0
 
     def add_tip(self, time: float, tip: Array) -> None:
-        """Takes in where the finger's center is, (2,) m, at a time, s; times increase."""
+        """Takes in where the finger's center is, (2,) m, at a time, s; times increase.
+
+        Of a finger that is no disc it is (3,), with its angle, rad.
+        """
         if self._times and time <= self._times[-1]:
             return
         self._times.append(float(time))
@@ -182,7 +185,7 @@ class PoseTrack:
             self._times.popleft()
             self._tips.popleft()
 
-    def add_pose(self, model: PushedModel, time: float, pose: ArrayLike) -> bool:
+    def add_pose(self, model: PushedModel | ShapedModel, time: float, pose: ArrayLike) -> bool:
         """Takes in a pose (3,), m and rad, that was seen at a time, s.
 
         Returns:
@@ -224,7 +227,9 @@ class PoseTrack:
         self._pending = self._begin(time, seen)
         return False
 
-    def _carry(self, model: PushedModel, belief: FilteredState, time: float) -> FilteredState:
+    def _carry(
+        self, model: PushedModel | ShapedModel, belief: FilteredState, time: float
+    ) -> FilteredState:
         """Carries a belief on to a later time by the model, less sure than before."""
         state = belief.state.copy()
         self._follow(model, state, belief.time, time)
@@ -279,11 +284,11 @@ class PoseTrack:
         return self._believed.pose.copy()
 
     def find_tips(self, begin: float, end: float) -> Array:
-        """The finger's path (K, 2) after one time and up to another, s; its last place is then."""
+        """The finger's path (K, D) after one time and up to another, s; its last place is then."""
         between = [tip for t, tip in zip(self._times, self._tips, strict=True) if begin < t < end]
         return np.array([*between, self._find_tip(end)])
 
-    def predict(self, model: PushedModel) -> Array:
+    def predict(self, model: PushedModel | ShapedModel) -> Array:
         """The state (STATE_SIZE,) now, which is when the finger's last place was told."""
         state = self._believed.state.copy()
         self._follow(model, state, self.seen_at, self._times[-1])
@@ -293,18 +298,21 @@ class PoseTrack:
         """Takes a pose (3,) as it is, of an object at rest."""
         state = np.zeros(STATE_SIZE)
         state[X : THETA + 1] = pose
-        state[TIP_X : TIP_Y + 1] = self._find_tip(time)
+        tip = self._find_tip(time)
+        state[TIP_X : TIP_X + len(tip)] = tip
         return FilteredState(time, state, self._noise)
 
-    def _follow(self, model: PushedModel, state: Array, begin: float, end: float) -> None:
+    def _follow(
+        self, model: PushedModel | ShapedModel, state: Array, begin: float, end: float
+    ) -> None:
         """Carries a state along the finger's path between two times."""
         follow_tip(model, state, self.find_tips(begin, end))
 
     def _find_tip(self, time: float) -> Array:
-        """The finger's center (2,) at a time, m."""
+        """The finger's place (D,) at a time, m and rad."""
         path = np.array(self._tips)
         times = np.array(self._times)
-        return np.array([np.interp(time, times, path[:, i]) for i in range(2)])
+        return np.array([np.interp(time, times, column) for column in path.T])
 
 
 def _subtract(pose: Array, other: Array) -> Array:

@@ -5,11 +5,12 @@ import numpy as np
 from gridpush_drake.dynamics.kernels.steering.plan_search import (
     ANGLE,
     BEND,
-    CHANGE_SIZE,
+    CHANGE_POINTS,
     LENGTH,
     PLACE,
     PRIMITIVE_SIZE,
     ROUND,
+    SPIN,
     WALK,
 )
 from gridpush_drake.geometry.se2 import Array
@@ -25,6 +26,9 @@ PRIMITIVE_ANGLES = (-1.0, 1.0)
 
 BEND_STD = 0.06
 """Standard deviation of a stroke's turn in a decision, rad."""
+
+SPIN_STD = 0.06
+"""Standard deviation of a turn of a finger that is no disc in a decision, rad."""
 
 AT_ONCE = 0.25
 """Fraction of the strokes that push at once, from where the finger is."""
@@ -43,7 +47,7 @@ def draw_candidates(
     period = options.period
     # strokes from all around, most of them after going there
     count = options.strokes
-    strokes = np.empty((count, PRIMITIVE_SIZE))
+    strokes = np.zeros((count, PRIMITIVE_SIZE))
     strokes[:, PLACE] = rng.uniform(0.0, 1.0, count)
     strokes[:, ANGLE] = rng.uniform(*PRIMITIVE_ANGLES, count)
     strokes[:, LENGTH] = period * finger.speed * draw_log_uniform(rng, SPEED_RANGE, count)
@@ -57,13 +61,20 @@ def draw_candidates(
     cuts = np.sqrt(rng.random(count))
     cuts[rng.random(count) < FROM_NOW] = 0.0
     # changes of all sizes: the largest find something new, the smallest make it exact
-    changes = rng.standard_normal((options.changes, CHANGE_SIZE))
+    size = finger.coordinates
+    changes = rng.standard_normal((options.changes, CHANGE_POINTS * size))
+    turn = period * finger.turning_speed
+    if finger.shape is not None:
+        # a turn moves the finger's farthest point as much as a shift does
+        changes[:, size - 1 :: size] /= finger.reach
+        strokes[:, SPIN] = np.clip(rng.normal(0.0, SPIN_STD, count), -turn, turn)
     return PushMoves(
         strokes=strokes,
         cuts=cuts,
         changes=changes,
         scales=draw_log_uniform(rng, CHANGE_SIZES, options.changes),
         longest=float(period * finger.walking_speed),
+        turn=float(turn),
     )
 
 

@@ -27,9 +27,9 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     STATE_SIZE,
     THETA,
     TIP_X,
-    TIP_Y,
     FreeSpace,
     PushedModel,
+    ShapedModel,
     X,
     follow_tip,
 )
@@ -153,9 +153,9 @@ class PushFollower:
         self._stopped: FollowStatus | None = None
         self._begun_goal = np.full(3, np.nan)
         self._middle = obj.p_BC.mean(axis=0)
-        self._ways = make_outline_path(obj.outline, finger.radius)
+        self._ways = make_outline_path(obj.outline, finger.radius, finger.shape)
         # decisions that it takes to go half round the object
-        way = obj.outline.convex_hull.length + 2 * np.pi * finger.radius
+        way = obj.outline.convex_hull.length + 2 * np.pi * finger.reach
         self._half_round = way / 2 / (finger.walking_speed * self.options.period)
         self._rng = np.random.default_rng(seed)
         self._physics = physics
@@ -188,7 +188,7 @@ class PushFollower:
             self.obj,
             params,
             list(draws)[: self.options.ensemble],
-            self.finger.radius,
+            self.finger,
             self._physics,
         )
         self._unlike_since = np.inf
@@ -241,7 +241,16 @@ class PushFollower:
         return self._refused
 
     @property
-    def model(self) -> PushedModel:
+    def _size(self) -> int:
+        """Number of coordinates of the finger's place."""
+        return self.finger.coordinates
+
+    def _get_tip(self, state: Array) -> Array:
+        """The finger's place (D,) in a state (STATE_SIZE,), m and rad."""
+        return state[TIP_X : TIP_X + self._size]
+
+    @property
+    def model(self) -> PushedModel | ShapedModel:
         """The estimate, as the compiled search takes it."""
         return self._ensemble.models[0]
 
@@ -276,27 +285,33 @@ class PushFollower:
     def add_tip(self, time: float, tip: ArrayLike) -> None:
         """Takes in where the finger's center is, (2,) m, at a time, s; times increase.
 
-        With NaN, or beyond FARTHEST, it is passed over.
+        Of a finger that is no disc it is (3,), with its angle, rad, which is continuous. With NaN,
+        or beyond MAX_COORDINATE, it is passed over.
         """
         if is_plausible(tip):
-            self.track.add_tip(time, check_vector(PlanningError, "tip", tip, 2, "m"))
+            self.track.add_tip(time, check_vector(PlanningError, "tip", tip, self._size, "m"))
 
     def decide(
-        self, time: float, tip: ArrayLike, *, lead: float = 0.0, velocity: ArrayLike = (0.0, 0.0)
+        self,
+        time: float,
+        tip: ArrayLike,
+        *,
+        lead: float = 0.0,
+        velocity: ArrayLike | None = None,
     ) -> FollowDecision:
         """Decides on the finger's velocity; to be called once each `options.period`.
 
         Args:
             time: now, s.
-            tip: (2,) where the finger's center is, W, m; with NaN, or beyond FARTHEST, the finger
-                rests.
+            tip: (2,) where the finger's center is, W, m, and (3,) with its angle, rad, if it is no
+                disc; with NaN, or beyond MAX_COORDINATE, the finger rests.
             lead: time until the finger does what is decided, s. It is not 0 if deciding itself
                 takes a good part of a period.
-            velocity: (2,) of the finger until then, W, m/s.
+            velocity: (2,) of the finger until then, W, m/s, or (3,) with rad/s; at rest if None.
 
         Raises:
-            PlanningError: the finger's place is not two numbers, its velocity is not two finite
-                ones, or the lead is negative.
+            PlanningError: the finger's place or its velocity are not as many finite numbers, or the
+                lead is negative.
         """
         if not lead >= 0:
             raise PlanningError(f"lead is {lead!r}; expected a time >= 0 (s)")
@@ -313,10 +328,10 @@ class PushFollower:
         if status is not None:
             return self._rest(status, pose)
         if np.isfinite(self._near_since):
-            return self._push(np.zeros(2), AT_GOAL, pose)
-        if lead > 0.0:
-            way = lead * check_vector(PlanningError, "velocity", velocity, 2, "m/s")
-            follow_tip(self.model, state, (state[TIP_X : TIP_Y + 1] + way)[None])
+            return self._push(np.zeros(self._size), AT_GOAL, pose)
+        if lead > 0.0 and velocity is not None:
+            way = lead * check_vector(PlanningError, "velocity", velocity, self._size, "m/s")
+            follow_tip(self.model, state, (self._get_tip(state) + way)[None])
         cost_terms = self._make_cost(lead)
         chosen = self._search(state, cost_terms)
         return self._push(chosen, "" if chosen.any() else NO_PUSH_FOUND, pose)
@@ -375,7 +390,7 @@ class PushFollower:
             return FollowStatus.TOO_FAST
         if not self.constraints.is_free:
             poses = self._way.path.poses
-            checker = self.constraints.start_at(self.obj, self.goal, self.finger.radius)
+            checker = self.constraints.start_at(self.obj, self.goal, self.finger.reach)
             allowed = checker.allows_geometry(poses)
             # the object may begin too near to something, and then comes out
             begin = int(allowed.argmax())
@@ -487,18 +502,18 @@ class PushFollower:
         self._per_decision = 1.0
         self._found = True
         self._follows = False
-        self._plan = np.zeros((1, 2))
+        self._plan = np.zeros((1, self._size))
 
     def _search(self, state: Array, cost_terms: TrackingCost) -> Array:
-        """Improves the plan from a state (STATE_SIZE,) on; returns its first velocity (2,)."""
+        """Improves the plan from a state (STATE_SIZE,) on; returns its first velocity (D,)."""
         options = self.options
         count = self._count_decisions(cost_terms.follows)
         if self._follows != cost_terms.follows or len(self._plan) != count:
             self._begin_plan()
-            self._plan = np.zeros((count, 2))
+            self._plan = np.zeros((count, self._size))
             self._follows = cost_terms.follows
         assert self._room is not None
-        tip = state[TIP_X : TIP_Y + 1].copy()
+        tip = self._get_tip(state).copy()
         states = np.zeros((count + 1, STATE_SIZE))
         states[0] = state
         plan = Plan(targets=self._plan, states=states)
@@ -523,13 +538,12 @@ class PushFollower:
                 break
             self._length = 0
         if self._length == 0:
-            return np.zeros(2)
+            return np.zeros(self._size)
         if cost_terms.follows:
             for _ in range(options.refinements):
                 targets = self._plan[: self._length]
-                longest = candidates.longest
                 models = self._ensemble.models[: 1 + options.draws]
-                if not refine_plan(models, cost_terms, self._room, state, targets, longest):
+                if not refine_plan(models, cost_terms, self._room, state, targets, candidates):
                     break
         velocity = self._limit((self._plan[0] - tip) / options.period, state)
         self._plan[:-1] = self._plan[1:]
@@ -537,13 +551,13 @@ class PushFollower:
         return velocity
 
     def _limit(self, velocity: Array, state: Array) -> Array:
-        """Shortens a velocity (2,), m/s, to what the finger may have at a state (STATE_SIZE,).
+        """Shortens a velocity (D,), m/s, to what the finger may have at a state (STATE_SIZE,).
 
         While it pushes it is slower than on its way round the object: until the next decision
-        nobody corrects it, and poses come late.
+        nobody corrects it, and poses come late. A finger that is no disc turns slower with it.
         """
         after = state.copy()
-        tip = state[TIP_X : TIP_Y + 1]
+        tip = self._get_tip(state)
         follow_tip(self.model, after, (tip + self.options.period * velocity)[None])
         moved = after[X : THETA + 1] - state[X : THETA + 1]
         pushes = (
@@ -551,14 +565,16 @@ class PushFollower:
             > MIN_PUSHED_MOTION
         )
         most = self.finger.speed if pushes else self.finger.walking_speed
-        speed = float(np.linalg.norm(velocity))
+        speed = float(np.linalg.norm(velocity[:2]))
         return np.asarray(velocity * min(1.0, most / max(speed, most)))
 
     def _rest(self, status: FollowStatus, pose: Array | None = None) -> FollowDecision:
         """Lets the finger rest."""
         self._begin_plan()
         where = np.full(3, np.nan) if pose is None else pose
-        return FollowDecision(np.zeros(2), status, FOLLOW_REASONS[status], where, self.progress)
+        return FollowDecision(
+            np.zeros(self._size), status, FOLLOW_REASONS[status], where, self.progress
+        )
 
 
 def _limit_numbers(goal: ArrayLike) -> ArrayLike:

@@ -1,12 +1,14 @@
 """Searches for a path of the finger that makes a learned object follow what is wanted, compiled.
 
-A plan is a sequence of places of the finger's center, one a decision, in W. Between two of them the
-finger moves evenly, and the object moves as the learned model of its cells says: each decision is a
-short rollout of `dynamics.kernels.rollout`. A candidate is made from the best plan known by
+A plan is a sequence of places of the finger's center, one a decision, in W; of a finger that is no
+disc each comes with an angle. Between two of them the finger moves evenly, and the object moves as
+the learned model of its cells says: each decision is a short rollout, see
+`dynamics.kernels.steering.finger_push`. A candidate is made from the best plan known by
 replacing its end with a *stroke* (go round the object to a place of its outline, and push there),
 or by shifting some of its places a little. Candidates whose object or finger comes too near to
 something cost infinitely much. A stroke's LENGTH and WALK are how far the finger goes in a decision
-while it pushes and on its way round, m. What any search for plans shares is in
+while it pushes and on its way round, m. A finger that is no disc turns to face the outline on its
+way round, comes near, and then pushes. What any search for plans shares is in
 `dynamics.kernels.steering.plan_search`.
 
 What a plan costs is in `docs/theory/feedback.md`, section 7; `push_follower` chooses the
@@ -25,6 +27,7 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     THETA,
     TIP_X,
     TIP_Y,
+    TIP_YAW,
     X,
     Y,
     advance_push,
@@ -34,6 +37,7 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
 from gridpush_drake.dynamics.kernels.steering.plan_search import (
     BEND,
     LENGTH,
+    SPIN,
     WALK,
     Plan,
     aim_primitive,
@@ -47,6 +51,12 @@ from gridpush_drake.dynamics.kernels.steering.plan_search import (
 
 MAX_STALL_STEPS = 6
 """Decisions that a stroke to a goal goes on for without getting better, once it pushes."""
+
+NEAR_DISTANCE = 1e-3
+"""A finger that is no disc pushes as soon as it is this near to where it comes near, m."""
+
+FACING_ANGLE = 0.05
+"""It comes near as soon as it faces the outline up to this angle, rad."""
 
 
 class TrackingCost(NamedTuple):
@@ -90,11 +100,12 @@ class PushMoves(NamedTuple):
     """What the search tries.
 
     Attributes:
-        strokes: (N, STROKE) strokes.
+        strokes: (N, PRIMITIVE_SIZE) strokes.
         cuts: (N,) fraction of the plan, 0 to 1, that is kept before each of them.
-        changes: (K, CHANGE) shifts of places.
+        changes: (K, CHANGE_POINTS D) shifts of places, whose angles are by the scale, rad/m.
         scales: (K,) their sizes, m.
         longest: farthest that the finger may go in a decision, m.
+        turn: farthest that a finger that is no disc may turn in a decision, rad.
     """
 
     strokes: Any
@@ -102,6 +113,7 @@ class PushMoves(NamedTuple):
     changes: Any
     scales: Any
     longest: Any
+    turn: Any
 
 
 @kernel(allocates=False)
@@ -160,7 +172,7 @@ def _step_candidate(model, cost_terms, room, bench, k, least):
     for i in range(STATE_SIZE):
         bench.states[k + 1, i] = bench.states[k, i]
     state = bench.states[k + 1]
-    advance_push(model, bench, state, bench.targets[k, 0], bench.targets[k, 1])
+    advance_push(model, bench, state, bench.targets[k])
     object_room, finger_room = measure_room(room, state)
     if object_room < least[0] or finger_room < least[1]:
         return np.inf, True
@@ -171,8 +183,8 @@ def _step_candidate(model, cost_terms, room, bench, k, least):
 
 
 @kernel(allocates=False)
-def _limit(bench, k, longest):
-    """Shortens the way to the k-th place to what the finger may go in a decision."""
+def _limit(bench, k, longest, turn):
+    """Shortens the way to the k-th place to what the finger may go, and turn, in a decision."""
     x = bench.states[k, TIP_X]
     y = bench.states[k, TIP_Y]
     dx = bench.targets[k, 0] - x
@@ -181,10 +193,13 @@ def _limit(bench, k, longest):
     if length > longest:
         bench.targets[k, 0] = x + dx * longest / length
         bench.targets[k, 1] = y + dy * longest / length
+    if bench.targets.shape[1] > 2:
+        yaw = bench.states[k, TIP_YAW]
+        bench.targets[k, 2] = yaw + min(max(bench.targets[k, 2] - yaw, -turn), turn)
 
 
 @kernel()
-def _roll_plan(model, cost_terms, room, bench, first, length, least, longest, before):
+def _roll_plan(model, cost_terms, room, bench, first, length, least, moves, before):
     """Follows the candidate's places from `first` on, where what was before cost `before`.
 
     Returns its least cost and the number of decisions with which it is reached; of a path the cost
@@ -194,7 +209,7 @@ def _roll_plan(model, cost_terms, room, bench, first, length, least, longest, be
     end = first
     total = before
     for k in range(first, length):
-        _limit(bench, k, longest)
+        _limit(bench, k, moves.longest, moves.turn)
         cost, over = _step_candidate(model, cost_terms, room, bench, k, least)
         if cost_terms.follows:
             total += cost
@@ -211,36 +226,77 @@ def _roll_plan(model, cost_terms, room, bench, first, length, least, longest, be
     return best, end
 
 
+@kernel(allocates=False)
+def _come_near(primitive, aim, state, turn, target):
+    """Finds the next place of a finger that is no disc, before it pushes.
+
+    Args:
+        primitive: (PRIMITIVE_SIZE,) the stroke.
+        aim: its `Aim`.
+        state: (STATE_SIZE,) now.
+        turn: farthest that the finger may turn, rad.
+        target: (3,) filled: the place where it comes near, as far as it gets; before it faces the
+            outline, where it is.
+
+    Returns:
+        Whether it has come near already.
+    """
+    off = state[THETA] + aim.yaw - state[TIP_YAW]
+    off -= 2.0 * np.pi * np.floor(off / (2.0 * np.pi) + 0.5)
+    target[2] = state[TIP_YAW] + min(max(off, -turn), turn)
+    c = cos(state[THETA])
+    s = sin(state[THETA])
+    dx = state[X] + c * aim.near_x - s * aim.near_y - state[TIP_X]
+    dy = state[Y] + s * aim.near_x + c * aim.near_y - state[TIP_Y]
+    distance = hypot(dx, dy)
+    is_facing = abs(off) < FACING_ANGLE
+    if is_facing and distance < NEAR_DISTANCE:
+        return True
+    fraction = min(1.0, primitive[WALK] / distance) if is_facing else 0.0
+    target[0] = state[TIP_X] + fraction * dx
+    target[1] = state[TIP_Y] + fraction * dy
+    return False
+
+
 @kernel()
-def _roll_primitive(model, cost_terms, room, ways, bench, first, limit, primitive, least, before):
+def _roll_primitive(
+    model, cost_terms, room, ways, bench, first, limit, primitive, least, moves, before
+):
     """Makes a stroke from `first` on, and fills its places; returns as `_roll_plan`."""
     best = np.inf
     end = first
     total = before
     aim = aim_primitive(ways, primitive)
-    pushing = aim.pushing
+    walking = not aim.pushing
+    coming = ways.comes_near and walking
     heading = aim.heading
     pushed = 0
     for k in range(first, limit):
         state = bench.states[k]
         tip_x = state[TIP_X]
         tip_y = state[TIP_Y]
-        if not pushing:
-            pushing = walk_to_aim(
+        target = bench.targets[k]
+        if coming and _come_near(primitive, aim, state, moves.turn, target):
+            coming = False
+            walking = False
+        if walking:
+            walking = not walk_to_aim(
                 ways, primitive, aim, state[X], state[Y], state[THETA], tip_x, tip_y, bench.at
             )
-        if not pushing:
+        if walking:
             # on the way round, no farther than the finger goes in a decision
             dx = bench.at[0] - tip_x
             dy = bench.at[1] - tip_y
             fraction = min(1.0, primitive[WALK] / max(hypot(dx, dy), STILL_FINGER_DISTANCE))
-            bench.targets[k, 0] = tip_x + fraction * dx
-            bench.targets[k, 1] = tip_y + fraction * dy
-        else:
+            target[0] = tip_x + fraction * dx
+            target[1] = tip_y + fraction * dy
+        elif not coming:
             # the direction is held in the body frame, which turns
             angle = state[THETA] + heading
-            bench.targets[k, 0] = tip_x + primitive[LENGTH] * cos(angle)
-            bench.targets[k, 1] = tip_y + primitive[LENGTH] * sin(angle)
+            target[0] = tip_x + primitive[LENGTH] * cos(angle)
+            target[1] = tip_y + primitive[LENGTH] * sin(angle)
+            if ways.comes_near:
+                target[2] = state[TIP_YAW] + primitive[SPIN]
             heading += primitive[BEND]
             pushed += 1
         cost, over = _step_candidate(model, cost_terms, room, bench, k, least)
@@ -291,24 +347,24 @@ def search_push(model, cost_terms, room, ways, plan, length, candidates):
     if not cost_terms.follows:
         to_go, _ = rate_goal(cost_terms, plan.states[0])
     limit = plan.targets.shape[0]
-    bench = make_bench(limit)
+    size = plan.targets.shape[1]
+    bench = make_bench(model, limit, size)
     # What is too near already may not come nearer still.
     least = np.zeros(2)
     least[0], least[1] = measure_room(room, plan.states[0])
     for i in range(2):
         least[i] = min(least[i] - STILL_FINGER_DISTANCE, 0.0)
-    longest = candidates.longest
     best = np.inf
     # The plan of the decision before, from where the object really is.
     if length > 0:
         take_plan(bench, plan, 0, length)
         if cost_terms.follows:
             for k in range(length, limit):
-                for j in range(2):
+                for j in range(size):
                     step = bench.targets[length - 1, j] - bench.targets[max(length - 2, 0), j]
                     bench.targets[k, j] = bench.targets[length - 1, j] + step * (k + 1 - length)
             length = limit
-        best, end = _roll_plan(model, cost_terms, room, bench, 0, length, least, longest, 0.0)
+        best, end = _roll_plan(model, cost_terms, room, bench, 0, length, least, candidates, 0.0)
         keep_plan(bench, plan, 0, end)
         length = end
     # Strokes, after some of the plan or at once.
@@ -318,7 +374,7 @@ def search_push(model, cost_terms, room, ways, plan, length, candidates):
         primitive = candidates.strokes[n]
         before = _cost_before(cost_terms, plan, first)
         cost, end = _roll_primitive(
-            model, cost_terms, room, ways, bench, first, limit, primitive, least, before
+            model, cost_terms, room, ways, bench, first, limit, primitive, least, candidates, before
         )
         if cost < best:
             best = cost
@@ -351,32 +407,30 @@ def _roll_change(model, cost_terms, room, bench, plan, length, candidates, n, le
     stop = length if cost_terms.follows else min(length + n % 2, plan.targets.shape[0])
     take_plan(bench, plan, first, length)
     for k in range(length, stop):
-        for j in range(2):
+        for j in range(bench.targets.shape[1]):
             bench.targets[k, j] = plan.targets[length - 1, j]
             if length > 1:
                 bench.targets[k, j] += plan.targets[length - 1, j] - plan.targets[length - 2, j]
     shift_places(bench.targets, candidates.changes[n], candidates.scales[n], first, stop)
     before = _cost_before(cost_terms, plan, first)
-    cost, end = _roll_plan(
-        model, cost_terms, room, bench, first, stop, least, candidates.longest, before
-    )
+    cost, end = _roll_plan(model, cost_terms, room, bench, first, stop, least, candidates, before)
     return cost, end, first
 
 
 @kernel()
-def roll_plans(model, cost_terms, room, start, targets, longest, states, costs):
+def roll_plans(model, cost_terms, room, start, targets, moves, states, costs):
     """Follows P plans from one state.
 
     Args:
-        model, wish, room: as of `search_push`.
+        model, cost_terms, room: as of `search_push`.
         start: (STATE_SIZE,) state.
-        targets: (P, T, 2) places of the finger, changed where they are too far apart.
-        longest: farthest that the finger may go in a decision, m.
+        targets: (P, T, D) places of the finger, changed where they are too far apart.
+        moves: `PushMoves`, of which the farthest that the finger may go and turn counts.
         states: (P, T + 1, STATE_SIZE) filled.
         costs: (P,) filled: of a path, of all decisions; of a goal, the least.
     """
     limit = targets.shape[1]
-    bench = make_bench(limit)
+    bench = make_bench(model, limit, targets.shape[2])
     least = np.zeros(2)
     least[0], least[1] = measure_room(room, start)
     for i in range(2):
@@ -386,7 +440,7 @@ def roll_plans(model, cost_terms, room, start, targets, longest, states, costs):
         for i in range(STATE_SIZE):
             plan.states[0, i] = start[i]
         take_plan(bench, plan, 0, limit)
-        costs[p], end = _roll_plan(model, cost_terms, room, bench, 0, limit, least, longest, 0.0)
+        costs[p], end = _roll_plan(model, cost_terms, room, bench, 0, limit, least, moves, 0.0)
         keep_plan(bench, plan, 0, end)
         for k in range(end, limit):
             for i in range(STATE_SIZE):

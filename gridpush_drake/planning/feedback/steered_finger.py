@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.result import Identification
@@ -64,8 +65,9 @@ class SteeredFinger:
     Attributes:
         world: the world.
         radius: of the finger, m.
+        shape: of a finger that is no disc; None of a disc.
         time: now, s.
-        tip: (2,) where the finger's center is, W, m.
+        tip: (2,) where the finger's center is, W, m; (3,) with its angle, rad, of a shape.
         pose_sensor: how the object is seen.
         poses: (3,) true poses of the object at the ends of all ticks so far, for judges.
     """
@@ -77,24 +79,27 @@ class SteeredFinger:
         radius: float,
         pose_sensor: PoseSensorModel | None = None,
         seed: int = 0,
+        shape: PusherShape | None = None,
     ) -> None:
         """Puts the finger down, and looks at the object for the first time.
 
         Args:
             world: the world, with the object at rest.
-            tip: (2,) where the finger is, W, m.
-            radius: of the finger, m.
+            tip: (2,) where the finger is, W, m; (3,) with its angle, rad, of a shape.
+            radius: of the finger, or of the shape's round corners, m.
             pose_sensor: how the object is seen.
             seed: of the noise.
+            shape: of a finger that is no disc.
 
         Raises:
-            PlanningError: the place is not two finite numbers, or the radius is not positive.
+            PlanningError: the place is not as many finite numbers, or the radius is not positive.
         """
         require_positive(PlanningError, "finger: ", "m", radius=radius)
         self.world = world
         self.radius = radius
+        self.shape = shape
         self.time = 0.0
-        self.tip = check_vector(PlanningError, "tip", tip, 2, "m")
+        self.tip = check_vector(PlanningError, "tip", tip, 2 if shape is None else 3, "m")
         self.pose_sensor = pose_sensor or PoseSensorModel()
         self.poses: list[Array] = []
         self._rng = np.random.default_rng(seed)
@@ -109,12 +114,17 @@ class SteeredFinger:
     def move(self, velocity: ArrayLike) -> list[SeenPose]:
         """Moves the finger at a velocity (2,), m/s, until the object is seen again.
 
+        That of a shape is (3,), with rad/s.
+
         Returns:
             The poses that came meanwhile, in order.
         """
         duration = self.pose_sensor.period
         tip = self.tip + duration * np.asarray(velocity, dtype=np.float64)
-        self.world.steer(self.tip, tip, duration, self.radius)
+        if self.shape is None:
+            self.world.steer(self.tip, tip, duration, self.radius)
+        else:
+            self.world.steer(self.tip, tip, duration, self.radius, self.shape)
         self.tip = tip
         self.time += duration
         self.poses.append(self.pose)
@@ -142,7 +152,7 @@ class FollowRun:
         status: the controller's last status.
         time: how long it took, s.
         poses: (K, 3) true poses of the object, one for each pose that could be seen.
-        tips: (K, 2) places of the finger, m.
+        tips: (K, 2) places of the finger, m; (K, 3) with its angle, rad, of a shape.
         decisions: number of decisions.
         learned: number of times that the model was learned anew.
         identification: what was learned last; None where nothing was.
@@ -232,7 +242,7 @@ def follow(
         status=decision.status,
         time=finger.time - begin,
         poses=np.array(finger.poses[first:]).reshape(-1, 3),
-        tips=np.array(tips).reshape(-1, 2),
+        tips=np.array(tips).reshape(-1, len(finger.tip)),
         decisions=decisions,
         learned=learned,
         identification=found,

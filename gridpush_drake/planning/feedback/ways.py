@@ -2,13 +2,16 @@
 
 The disc is the pusher. To begin a stroke it goes round the block on a ring of points about the
 block's convex hull, and comes in where it is to touch. `kernels.walk_round` goes by what is made
-here.
+here. A pusher of another shape goes round as the disc does that holds all of it; then it faces the
+outline, and comes near.
 """
 
 import numpy as np
 from shapely import Polygon
 
 from gridpush_drake.dynamics.kernels.contact.walk_round import OutlinePath
+from gridpush_drake.dynamics.pusher import PusherShape
+from gridpush_drake.geometry.se2 import Array, make_direction
 
 TOUCH_COUNT = 96
 """Number of places round the block where a stroke may touch it."""
@@ -38,13 +41,26 @@ ARC_SEGMENTS = 16
 """Number of segments of a quarter circle in an outline that is widened by the disc's radius."""
 
 
-def make_outline_path(outline: Polygon, radius: float) -> OutlinePath:
+NEAR_GAP = 0.001
+"""Gap between outline and a shape that has come near, m."""
+
+NEAR_STEPS = 10
+"""Halvings by which the place of a shape that has come near is found."""
+
+
+def make_outline_path(
+    outline: Polygon, radius: float, shape: PusherShape | None = None
+) -> OutlinePath:
     """Makes the ways of a disc round an outline, for the kernels.
 
     Args:
         outline: the block's outline, body frame, m.
         radius: the disc's radius, m.
+        shape: of a pusher that is no disc; None of a disc. The ways are then those of the disc that
+            holds all of it, whatever its angle.
     """
+    if shape is not None:
+        radius = shape.reach
     rim = outline.exterior
     widened = outline.buffer(radius, quad_segs=ARC_SEGMENTS).exterior
     places = [widened.interpolate(i / TOUCH_COUNT, normalized=True) for i in range(TOUCH_COUNT)]
@@ -59,12 +75,48 @@ def make_outline_path(outline: Polygon, radius: float) -> OutlinePath:
         [around.interpolate(i / count, normalized=True).coords[0] for i in range(count)]
     )
     corners = np.array(rim.coords)
+    angles = np.arctan2(inward[:, 1], inward[:, 0])
+    standoff = PRIMITIVE_STANDOFF * radius
+    near = touch - standoff * make_direction(angles)
+    if shape is not None:
+        near = _come_near(outline, shape, near, angles)
     return OutlinePath(
         touch=touch,
-        inward=np.arctan2(inward[:, 1], inward[:, 0]),
+        inward=angles,
+        near=near,
+        comes_near=shape is not None,
         ring=ring,
         edges=np.column_stack([corners[:-1], corners[1:]]),
-        standoff=PRIMITIVE_STANDOFF * radius,
+        standoff=standoff,
         clearance=DISC_CLEARANCE * radius,
         arrival=ARRIVAL_DISTANCE * radius,
     )
+
+
+def _come_near(outline: Polygon, shape: PusherShape, places: Array, angles: Array) -> Array:
+    """Moves a shape from places (M, 2), where it is clear, inwards until it is next to the outline.
+
+    Args:
+        outline: the block's outline, body frame, m.
+        shape: the shape.
+        places: (M, 2) where its center is, m.
+        angles: (M,) its angles, in which it moves, rad.
+
+    Returns:
+        (M, 2) places of its center, m.
+    """
+    near = np.empty_like(places)
+    for i, (place, angle) in enumerate(zip(places, angles, strict=True)):
+        way = make_direction(angle)
+        # how far it is clear, and how far it is not, or is all the way across
+        clear = 0.0
+        far = 2.0 * shape.reach * (1.0 + PRIMITIVE_STANDOFF)
+        for _ in range(NEAR_STEPS):
+            middle = 0.5 * (clear + far)
+            area = shape.at(np.append(place + middle * way, angle))
+            if outline.distance(area) > NEAR_GAP:
+                clear = middle
+            else:
+                far = middle
+        near[i] = place + clear * way
+    return near

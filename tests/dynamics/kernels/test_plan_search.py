@@ -6,7 +6,7 @@ from shapely.geometry import box
 
 from gridpush_drake.dynamics.kernels.steering.plan_search import (
     ANGLE,
-    CHANGE_SIZE,
+    CHANGE_POINTS,
     END_DECISIONS,
     PLACE,
     PRIMITIVE_SIZE,
@@ -61,7 +61,7 @@ def test_windows_take_turns_and_a_cut_leaves_a_decision():
 
 
 def test_a_shift_has_the_given_ends_and_middle():
-    change = np.arange(1.0, CHANGE_SIZE + 1)
+    change = np.arange(1.0, 2 * CHANGE_POINTS + 1)
     targets = np.zeros((7, 2))
     shift_places(targets, change, 0.5, 1, 6)
     assert targets[1] == pytest.approx(0.5 * change[:2])

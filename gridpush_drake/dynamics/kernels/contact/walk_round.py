@@ -16,8 +16,12 @@ class OutlinePath(NamedTuple):
     """Where the disc can touch, and how it gets round the block, all in the body frame.
 
     Attributes:
-        touch: (M, 2) center of the disc where it touches.
+        touch: (M, 2) center of the disc where it touches; of another shape, that of the circle that
+            holds all of it.
         inward: (M,) angle of the normal there, into the block.
+        near: (M, 2) where the center of another shape, turned to `inward`, is next to the block; a
+            disc's is where its stroke begins.
+        comes_near: whether a stroke comes there before it pushes, as that of another shape does.
         ring: (R, 2) points round the convex hull, at a distance.
         edges: (E, 4) both ends of the outline's edges.
         standoff: distance from the touch at which a stroke begins.
@@ -27,6 +31,8 @@ class OutlinePath(NamedTuple):
 
     touch: Any
     inward: Any
+    near: Any
+    comes_near: Any
     ring: Any
     edges: Any
     standoff: Any

@@ -1,24 +1,39 @@
 """Short pushes of a learned object by a finger that goes from place to place, compiled.
 
-Each of them is a rollout of `dynamics.kernels.rollout` of a few steps, quasi-static, or nothing at
-all where the finger is too far away to touch. `measure_room` says how near object and finger come
-to what they must not touch. `push_search` plans with both; `pose_track` carries late poses on.
+The finger is a disc, or another shape, which goes with its place and its angle. Each push is a
+rollout of a few steps, quasi-static: of `dynamics.kernels.rollout` under a disc, and of
+`dynamics.kernels.scene.rollout` under another shape. It is nothing at all where the finger is too
+far away to touch. `measure_room` says how near object and finger come to what they must not touch.
+`push_search` plans with both; `pose_track` carries late poses on.
 """
 
 from math import cos, hypot, sin
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import overload
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.walk_round import calc_distance2
 from gridpush_drake.dynamics.kernels.inputs import Load, make_steps, take_first_steps
+from gridpush_drake.dynamics.kernels.numba_internals import BORROWED_OPTIONS, get_record_class
 from gridpush_drake.dynamics.kernels.rollout import rollout
-from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE
+from gridpush_drake.dynamics.kernels.scene.records import (
+    CONTACT_SIZE,
+    IDENTITY_SIZE,
+    BodyStates,
+    Contacts,
+    PusherPath,
+    SceneSteps,
+)
+from gridpush_drake.dynamics.kernels.scene.rollout import rollout_scene
+from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, MIN_MOVING_STEPS
 
-X, Y, THETA, VX, VY, W, TIP_X, TIP_Y, MEMORY = range(9)
+X, Y, THETA, VX, VY, W, TIP_X, TIP_Y, TIP_YAW, MEMORY = range(10)
 """Places in a state: the object's pose, m and rad; its last velocity, by the finger's path; the
-finger's center, m; and, from MEMORY on, what the solver remembers (`kernels.step_memory`)."""
+finger's center, m, and its angle, rad; and, from MEMORY on, what the solver remembers
+(`kernels.step_memory`). Under a shape that is no disc the last velocity is the object's own, in the
+frame of the last step's end."""
 
 STATE_SIZE = MEMORY + MEMORY_SIZE
 """Numbers of a state."""
@@ -31,7 +46,7 @@ STILL_FINGER_DISTANCE = 1e-9
 
 
 class PushedModel(NamedTuple):
-    """A model of the object, as `kernel_call.prepare_rollout` makes it.
+    """A model of the object under a disc, as `kernel_call.prepare_rollout` makes it.
 
     Attributes:
         law, body, support, edges, scheme: the first arguments of `rollout`, quasi-static.
@@ -48,6 +63,30 @@ class PushedModel(NamedTuple):
     reach: Any
     radius: Any
     step: Any
+
+
+class ShapedModel(NamedTuple):
+    """A model of the object under a shape that is no disc.
+
+    Attributes:
+        bodies, support, tolerances: arguments of `rollout_scene`, for one body.
+        tool: the finger's shape, `Tool`.
+        edges: the object's outline.
+        reach: distance of the farthest corner from the body frame's origin, m.
+        radius: of the circle about the finger's center that holds all of it, m.
+        step: length of the finger's path in a step of the rollout, m.
+        contacts: greatest number of contacts for which there is room.
+    """
+
+    bodies: Any
+    support: Any
+    tolerances: Any
+    tool: Any
+    edges: Any
+    reach: Any
+    radius: Any
+    step: Any
+    contacts: Any
 
 
 class FreeSpace(NamedTuple):
@@ -74,11 +113,20 @@ class Bench(NamedTuple):
     """Memory of the search.
 
     Attributes:
-        tip, wrench, point, dts, rows, record, J, memory: arguments of `rollout`.
+        work: memory of a rollout, `DiscWork` or `ShapeWork`.
         at: (2,) of `find_way`.
-        targets: (T, 2) places of the candidate.
+        targets: (T, D) places of the candidate: x, y, m, and the angle, rad, of a shape.
         states: (T + 1, STATE_SIZE) its states.
     """
+
+    work: Any
+    at: Any
+    targets: Any
+    states: Any
+
+
+class DiscWork(NamedTuple):
+    """Memory of a rollout under a disc: arguments of `rollout`."""
 
     tip: Any
     wrench: Any
@@ -88,16 +136,27 @@ class Bench(NamedTuple):
     record: Any
     J: Any
     memory: Any
-    at: Any
-    targets: Any
-    states: Any
+
+
+class ShapeWork(NamedTuple):
+    """Memory of a rollout under a shape: arguments of `rollout_scene`, and of its pusher's path."""
+
+    tip: Any
+    yaw: Any
+    variations: Any
+    dts: Any
+    rows: Any
+    record: Any
+    J: Any
+    state: Any
+    contacts: Any
 
 
 @kernel()
-def make_bench(decisions):
-    """Makes the memory of a search over so many decisions."""
+def _make_disc_work(model):
+    """Makes the memory of a rollout under a disc."""
     n = MAX_SUBSTEPS
-    return Bench(
+    return DiscWork(
         tip=np.zeros((n + 1, 2)),
         wrench=np.zeros((n, 3)),
         point=np.zeros(2),
@@ -106,8 +165,63 @@ def make_bench(decisions):
         record=make_steps(n),
         J=np.empty((0, 3, 0)),
         memory=np.zeros(MEMORY_SIZE),
+    )
+
+
+@kernel()
+def _make_shape_work(model):
+    """Makes the memory of a rollout under a shape."""
+    n = MAX_SUBSTEPS
+    room = model.contacts
+    return ShapeWork(
+        tip=np.zeros((n + 1, 2)),
+        yaw=np.zeros(n + 1),
+        variations=np.zeros((0, n + 1, 3)),
+        dts=np.zeros(n),
+        rows=np.full(n + 1, -1),
+        record=SceneSteps(
+            poses=np.zeros((n + 1, 1, 3)),
+            twists=np.zeros((n, 1, 3)),
+            counts=np.zeros(n, np.int64),
+            ids=np.zeros((n, room, IDENTITY_SIZE), np.int64),
+            modes=np.zeros((n, room), np.int64),
+            forces=np.zeros((n, room, 2)),
+            points=np.zeros((n, room, 2)),
+            gaps=np.zeros((n, room)),
+            finger_gaps=np.zeros(n + 1),
+            statuses=np.zeros((n, 2), np.int64),
+            residuals=np.zeros((n, 2)),
+            load_centers=np.zeros((n, 2)),
+            tips=np.zeros(n, np.bool_),
+        ),
+        J=np.empty((0, 1, 3, 0)),
+        state=BodyStates(
+            q=np.zeros((1, 3)),
+            turn=np.zeros((1, 2)),
+            twist=np.zeros((1, 3)),
+            before=np.zeros((1, 3)),
+            moved=np.zeros(1, np.int64),
+        ),
+        contacts=Contacts(
+            ids=np.zeros((room, IDENTITY_SIZE), np.int64),
+            numbers=np.zeros((room, CONTACT_SIZE)),
+            lam=np.zeros((room, 2)),
+            modes=np.zeros(room, np.int64),
+            last_ids=np.zeros((room, IDENTITY_SIZE), np.int64),
+            last_modes=np.zeros(room, np.int64),
+            counts=np.zeros(2, np.int64),
+            lost=np.zeros(1, np.int64),
+        ),
+    )
+
+
+@kernel()
+def make_bench(model, decisions, coordinates):
+    """Makes the memory of a search over so many decisions, each of so many coordinates."""
+    return Bench(
+        work=make_push_work(model),
         at=np.zeros(2),
-        targets=np.zeros((decisions, 2)),
+        targets=np.zeros((decisions, coordinates)),
         states=np.zeros((decisions + 1, STATE_SIZE)),
     )
 
@@ -139,36 +253,53 @@ def _is_near(model, state, reach):
 
 
 @kernel()
-def advance_push(model, bench, state, to_x, to_y):
-    """Moves finger and object evenly to the finger's place; changes the state (STATE_SIZE,)."""
-    dx = to_x - state[TIP_X]
-    dy = to_y - state[TIP_Y]
-    length = hypot(dx, dy)
-    if length < STILL_FINGER_DISTANCE:
+def advance_push(model, bench, state, target):
+    """Moves finger and object evenly to the finger's place; changes the state (STATE_SIZE,).
+
+    Args:
+        model: `PushedModel`, or `ShapedModel`.
+        bench: `Bench`.
+        state: (STATE_SIZE,) changed.
+        target: (D,) the place: x, y, m, and the angle, rad, of a shape.
+    """
+    length = hypot(target[0] - state[TIP_X], target[1] - state[TIP_Y])
+    turn = target[2] - state[TIP_YAW] if target.shape[0] > 2 else 0.0
+    # the way of the point that is farthest from the finger's center
+    way = length + model.radius * abs(turn)
+    if way < STILL_FINGER_DISTANCE:
         return
-    if not _is_near(model, state, model.radius + length):
+    if _is_near(model, state, model.radius + way):
+        n = min(int(way / model.step) + 1, MAX_SUBSTEPS)
+        push_object(model, bench.work, state, target[0], target[1], turn, way, n)
+    else:
         for i in range(VX, W + 1):
             state[i] = 0.0
         for i in range(MEMORY, STATE_SIZE):
             state[i] = 0.0
-        state[TIP_X] = to_x
-        state[TIP_Y] = to_y
-        return
-    n = min(int(length / model.step) + 1, MAX_SUBSTEPS)
+    state[TIP_X] = target[0]
+    state[TIP_Y] = target[1]
+    state[TIP_YAW] += turn
+
+
+@kernel()
+def _push_by_disc(model, work, state, to_x, to_y, turn, way, n):
+    """Simulates n steps of a disc's way to a place, m."""
+    dx = to_x - state[TIP_X]
+    dy = to_y - state[TIP_Y]
     for k in range(n + 1):
-        bench.tip[k, 0] = state[TIP_X] + dx * k / n
-        bench.tip[k, 1] = state[TIP_Y] + dy * k / n
+        work.tip[k, 0] = state[TIP_X] + dx * k / n
+        work.tip[k, 1] = state[TIP_Y] + dy * k / n
     for k in range(n):
-        bench.dts[k] = length / n
+        work.dts[k] = way / n
     for i in range(MEMORY_SIZE):
-        bench.memory[i] = state[MEMORY + i]
-    record = take_first_steps(bench.record, n)
+        work.memory[i] = state[MEMORY + i]
+    record = take_first_steps(work.record, n)
     load = Load(
-        tip=bench.tip[: n + 1],
-        path_length=length,
+        tip=work.tip[: n + 1],
+        path_length=way,
         radius=model.radius,
-        wrench=bench.wrench[:n],
-        point=bench.point,
+        wrench=work.wrench[:n],
+        point=work.point,
     )
     rollout(
         model.law,
@@ -179,19 +310,98 @@ def advance_push(model, bench, state, to_x, to_y):
         load,
         state[X : THETA + 1],
         state[VX : W + 1],
-        bench.dts[:n],
-        bench.rows[: n + 1],
+        work.dts[:n],
+        work.rows[: n + 1],
         record,
-        bench.J,
-        bench.memory,
+        work.J,
+        work.memory,
     )
     for i in range(3):
         state[X + i] = record.poses[n, i]
         state[VX + i] = record.velocities[n, i]
-    state[TIP_X] = to_x
-    state[TIP_Y] = to_y
     for i in range(MEMORY_SIZE):
-        state[MEMORY + i] = bench.memory[i]
+        state[MEMORY + i] = work.memory[i]
+
+
+@kernel()
+def _push_by_shape(model, work, state, to_x, to_y, turn, way, n):
+    """Simulates n steps of a shape's way to a place, m, in which it turns, rad.
+
+    Of the motion before, the last twist is remembered.
+    """
+    dx = to_x - state[TIP_X]
+    dy = to_y - state[TIP_Y]
+    for k in range(n + 1):
+        work.tip[k, 0] = state[TIP_X] + dx * k / n
+        work.tip[k, 1] = state[TIP_Y] + dy * k / n
+        work.yaw[k] = state[TIP_YAW] + turn * k / n
+    for k in range(n):
+        work.dts[k] = way / n
+    body = work.state
+    moved = False
+    for i in range(3):
+        body.q[0, i] = state[X + i]
+        body.twist[0, i] = state[VX + i]
+        body.before[0, i] = state[VX + i]
+        moved = moved or state[VX + i] != 0.0
+    body.moved[0] = MIN_MOVING_STEPS if moved else 0
+    work.contacts.counts[0] = 0
+    path = PusherPath(
+        tip=work.tip,
+        yaw=work.yaw,
+        path_length=way,
+        tool=model.tool,
+        variations=work.variations,
+    )
+    rollout_scene(
+        model.bodies,
+        model.support,
+        path,
+        model.tolerances,
+        body,
+        work.contacts,
+        work.dts[:n],
+        work.rows,
+        work.record,
+        work.J,
+    )
+    for i in range(3):
+        state[X + i] = body.q[0, i]
+        state[VX + i] = body.twist[0, i]
+
+
+def make_push_work(model):
+    """Makes the memory of a rollout under the model's finger; compiled code only."""
+    raise NotImplementedError
+
+
+def push_object(model, work, state, to_x, to_y, turn, way, n):
+    """Pushes the object on the finger's way to a place; compiled code only.
+
+    Args:
+        model: `PushedModel`, or `ShapedModel`, which decides what is called.
+        work: `DiscWork`, or `ShapeWork`.
+        state: (STATE_SIZE,) of which the object's part is changed.
+        to_x, to_y: the place, m.
+        turn: by how much the finger turns, rad.
+        way: length of the way, m.
+        n: steps.
+    """
+    raise NotImplementedError
+
+
+@overload(make_push_work, jit_options=BORROWED_OPTIONS)
+def _make_push_work(model):
+    call = _make_shape_work if get_record_class(model) is ShapedModel else _make_disc_work
+    return lambda model: call(model)
+
+
+@overload(push_object, jit_options=BORROWED_OPTIONS)
+def _push_object(model, work, state, to_x, to_y, turn, way, n):
+    call = _push_by_shape if get_record_class(model) is ShapedModel else _push_by_disc
+    return lambda model, work, state, to_x, to_y, turn, way, n: call(
+        model, work, state, to_x, to_y, turn, way, n
+    )
 
 
 @kernel(allocates=False)
@@ -229,7 +439,7 @@ def measure_room(room, state):
 
 @kernel()
 def follow_tip(model, state, tips):
-    """Moves the object along a path of the finger, (K, 2); changes the state (STATE_SIZE,)."""
-    bench = make_bench(0)
+    """Moves the object along a path of the finger, (K, D); changes the state (STATE_SIZE,)."""
+    bench = make_bench(model, 0, tips.shape[1])
     for k in range(tips.shape[0]):
-        advance_push(model, bench, state, tips[k, 0], tips[k, 1])
+        advance_push(model, bench, state, tips[k])

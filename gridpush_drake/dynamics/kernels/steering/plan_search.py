@@ -15,18 +15,20 @@ from typing import Any, NamedTuple
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact.walk_round import find_way
 
-PRIMITIVE_SIZE = 6
+PRIMITIVE_SIZE = 7
 """Numbers that describe a stroke."""
 
-PLACE, ANGLE, LENGTH, BEND, WALK, ROUND = range(PRIMITIVE_SIZE)
+PLACE, ANGLE, LENGTH, BEND, WALK, ROUND, SPIN = range(PRIMITIVE_SIZE)
 """Places in a stroke: where round the object it touches, 0 to 1, or below 0 for a push at once; its
 angle from the inward normal there, rad, or from the body's x axis for a push at once; how far ahead
 the next place is while it pushes; by how much it turns in a decision, rad, seen from the object;
-how far ahead the next place is on the way round, in a measure that each search chooses; and 1 or -1
-for the way round, counterclockwise or clockwise."""
+how far ahead the next place is on the way round, in a measure that each search chooses; 1 or -1
+for the way round, counterclockwise or clockwise; and by how much a finger that is no disc turns
+itself in a decision while it pushes, rad."""
 
-CHANGE_SIZE = 6
-"""Numbers that describe a change of a plan: x and y at the window's begin, end and middle."""
+CHANGE_POINTS = 3
+"""A change of a plan is described by all coordinates of a place at the window's begin, end and
+middle."""
 
 WINDOW_COUNT = 3
 """Number of windows of a plan that are changed in turn."""
@@ -42,7 +44,7 @@ class Plan(NamedTuple):
     """Places of the finger, one a decision, and where they lead.
 
     Attributes:
-        targets: (T, 2) places.
+        targets: (T, D) places: x and y, and the angle of a finger that is no disc.
         states: (T + 1, S) states before and after them, each as the search's law of motion has it.
     """
 
@@ -56,13 +58,19 @@ class Aim(NamedTuple):
     Attributes:
         pushing: whether it pushes at once.
         heading: direction of the push, rad.
-        x, y: place of the finger from which it pushes; unused where it pushes at once.
+        x, y: place of the finger from which it pushes, or comes near; unused where it pushes at
+            once, as what follows.
+        yaw: angle of a finger that is no disc, rad.
+        near_x, near_y: place to which it comes near before it pushes; x and y of a disc.
     """
 
     pushing: Any
     heading: Any
     x: Any
     y: Any
+    yaw: Any
+    near_x: Any
+    near_y: Any
 
 
 @kernel(allocates=False)
@@ -75,8 +83,8 @@ def take_plan(candidate, plan, first, end):
         first, end: decisions; the candidate begins with the state before `first`.
     """
     for k in range(first, end):
-        candidate.targets[k, 0] = plan.targets[k, 0]
-        candidate.targets[k, 1] = plan.targets[k, 1]
+        for j in range(plan.targets.shape[1]):
+            candidate.targets[k, j] = plan.targets[k, j]
     for i in range(plan.states.shape[1]):
         candidate.states[first, i] = plan.states[first, i]
 
@@ -88,8 +96,8 @@ def keep_plan(candidate, plan, first, end):
     The arguments are those of `take_plan`.
     """
     for k in range(first, end):
-        plan.targets[k, 0] = candidate.targets[k, 0]
-        plan.targets[k, 1] = candidate.targets[k, 1]
+        for j in range(plan.targets.shape[1]):
+            plan.targets[k, j] = candidate.targets[k, j]
         for i in range(plan.states.shape[1]):
             plan.states[k + 1, i] = candidate.states[k + 1, i]
 
@@ -108,7 +116,7 @@ def aim_primitive(ways, primitive):
     """Finds where a stroke begins, as an `Aim`; `ways` are `walk_round.OutlinePath`."""
     heading = primitive[ANGLE]
     if primitive[PLACE] < 0.0:
-        return Aim(pushing=True, heading=heading, x=0.0, y=0.0)
+        return Aim(pushing=True, heading=heading, x=0.0, y=0.0, yaw=0.0, near_x=0.0, near_y=0.0)
     count = ways.touch.shape[0]
     touch = min(int(primitive[PLACE] * count), count - 1)
     inward = ways.inward[touch]
@@ -117,6 +125,9 @@ def aim_primitive(ways, primitive):
         heading=heading + inward,
         x=ways.touch[touch, 0] - ways.standoff * cos(inward),
         y=ways.touch[touch, 1] - ways.standoff * sin(inward),
+        yaw=inward,
+        near_x=ways.near[touch, 0],
+        near_y=ways.near[touch, 1],
     )
 
 
@@ -170,16 +181,18 @@ def shift_places(targets, change, scale, first, stop):
     """Shifts the places of a window of a plan by a parabola in time.
 
     Args:
-        targets: (T, 2) places, of which those from `first` to before `stop` are shifted.
-        change: (CHANGE_SIZE,) the parabola: shifts at begin and end, and what is added in the
+        targets: (T, D) places, of which those from `first` to before `stop` are shifted.
+        change: (CHANGE_POINTS D,) the parabola: shifts at begin and end, and what is added in the
             middle.
         scale: factor of the shifts.
         first, stop: the window.
     """
     width = max(stop - first - 1, 1)
+    size = targets.shape[1]
     for k in range(first, stop):
         t = (k - first) / width
         u = 1.0 - t
-        for j in range(2):
-            shift = u * change[j] + t * change[2 + j] + 2.0 * u * t * change[4 + j]
+        for j in range(size):
+            middle = change[2 * size + j]
+            shift = u * change[j] + t * change[size + j] + 2.0 * u * t * middle
             targets[k, j] += scale * shift
