@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 import shapely
+import shapely.affinity
 from numpy.typing import ArrayLike
 from shapely import MultiPoint, MultiPolygon, Polygon
 from shapely.geometry.polygon import orient
@@ -32,6 +33,9 @@ shipped finger, `models/fingers/rod`. Learning and planning take the same one.""
 
 CONVEXITY_TOLERANCE = 1e-9
 """Fraction of its hull's area by which a polygon may be smaller and still count as convex."""
+
+SYMMETRY_TOLERANCE = 0.01
+"""Fraction of its area by which a shape may change in half a turn and still count as the same."""
 
 MITRE_LIMIT = 100.0
 """Farthest that a corner of a polygon's core may be from the polygon's, in radii."""
@@ -123,6 +127,14 @@ class PusherShape(Frozen):
     def reach(self) -> float:
         """The farthest point from T's origin, m."""
         return float(np.linalg.norm(self.core, axis=1).max()) + self.radius
+
+    @cached_property
+    def period(self) -> float:
+        """Angle after which it looks the same, rad: half a turn about T's origin, or a whole one."""
+        area = self.area
+        turned = shapely.affinity.rotate(area, 180.0, (0.0, 0.0))
+        changed = area.symmetric_difference(turned).area
+        return np.pi if changed < SYMMETRY_TOLERANCE * area.area else 2.0 * np.pi
 
     @cached_property
     def area(self) -> Polygon | MultiPolygon:

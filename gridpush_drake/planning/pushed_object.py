@@ -57,6 +57,8 @@ class FeedbackFinger:
         shape: of a finger that is no disc, such as a plate, which is steered with its angle; None
             of a disc.
         turning_speed: greatest speed at which such a finger turns, rad/s.
+        most_yaw: greatest size of its angle, rad, which counts whole turns; a wrist turns no
+            farther.
 
     Raises:
         PlanningError: a number is not positive, or the radius is not the shape's.
@@ -67,6 +69,7 @@ class FeedbackFinger:
     walking_speed: float = 0.2
     shape: PusherShape | None = None
     turning_speed: float = 1.5
+    most_yaw: float = np.inf
 
     def __post_init__(self) -> None:
         require_positive(PlanningError, "finger: ", "m", radius=self.radius)
@@ -74,6 +77,10 @@ class FeedbackFinger:
             PlanningError, "finger: ", "m/s", speed=self.speed, walking_speed=self.walking_speed
         )
         require_positive(PlanningError, "finger: ", "rad/s", turning_speed=self.turning_speed)
+        if not self.most_yaw > 0:
+            raise PlanningError(
+                f"finger: most_yaw is {self.most_yaw!r}; expected a number > 0 (rad)"
+            )
         if self.shape is not None and self.shape.radius != self.radius:
             raise PlanningError(
                 f"finger: radius is {self.radius!r}; expected {self.shape.radius!r}, the shape's"

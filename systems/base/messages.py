@@ -234,7 +234,7 @@ class GraspCommand(_Command):
         return cls(command_id, x=x, y=y, z=height, approach=grasp.approach, lift=lift)
 
 
-STEER_COMMAND_SIZE = 5
+STEER_COMMAND_SIZE = 7
 """Length of a `SteerCommand` as a vector."""
 
 
@@ -252,14 +252,18 @@ class SteerCommand(_Command):
         y: y of the tip's center there, m.
         vx: velocity of the tip along x, m/s.
         vy: velocity of the tip along y, m/s.
+        yaw: angle of a pusher that is no disc where it comes down, rad.
+        yaw_rate: speed at which it turns, rad/s.
     """
 
     x: float = 0.0
     y: float = 0.0
     vx: float = 0.0
     vy: float = 0.0
+    yaw: float = 0.0
+    yaw_rate: float = 0.0
 
     @property
     def velocity(self) -> NDArray[np.float64]:
-        """Velocity (2,) of the tip's center, m/s."""
-        return np.array([self.vx, self.vy])
+        """Velocity (3,) of the tip's center, m/s, and of its angle, rad/s."""
+        return np.array([self.vx, self.vy, self.yaw_rate])

@@ -138,7 +138,8 @@ class FollowControlState(Unchanging):
         lead: how long the last decisions took, s, the latest counting most.
         blind_since: time from which on no pose came while the finger was steered, s; inf if one
             did.
-        tips: (time, x, y) of the finger's center since the last decision, s and m.
+        tips: (time, x, y) of the finger's center since the last decision, s and m; with the angle,
+            rad, of one that is no disc.
         seen: poses that came since the last decision.
         follow_run: tips and poses of all decisions so far.
         study: the learning under way; None if there is none.
@@ -160,7 +161,7 @@ class FollowControlState(Unchanging):
     decide_at: float = 0.0
     lead: float = 0.0
     blind_since: float = np.inf
-    tips: tuple[tuple[float, float, float], ...] = ()
+    tips: tuple[tuple[float, ...], ...] = ()
     seen: tuple[SeenPose, ...] = ()
     follow_run: FollowProgress = field(default_factory=FollowProgress)
     study: Request | None = None
@@ -197,6 +198,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
         input_ports:
         - object_pose
         - pusher_state
+        - pusher_yaw
         - identification
         - push_log
         - push_status
@@ -210,11 +212,13 @@ class FollowController(AbstractStateSystem[FollowControlState]):
     * object_pose: vector of 3, X_WB as it was last seen, (x, y, theta), m and rad; NaN if the
       object was not seen.
     * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity, m/s.
+    * pusher_yaw: vector of 1, angle of a finger that is no disc, rad; of a disc it need not be
+      connected.
     * identification: abstract `Identification`, what was learned.
     * push_log: abstract `PushLog`, the pokes so far.
     * push_status: abstract `PushStatus` of the executor of pushes, which pokes.
     * steer_status: abstract `SteerStatus` of the executor of steering.
-    * steer_command: vector of 5, see `SteerCommand`.
+    * steer_command: vector of 7, see `SteerCommand`.
     * status: abstract `FollowControlStatus`; it changes with the mode, not with every decision.
     * progress: vector of 1, how far the object came on its path, m.
     * prepared: abstract `Prepared`, with the path that is followed.
@@ -254,6 +258,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
         self._teacher = make_worker(answer_delay)
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 6)
+        self._pusher_yaw = self.DeclareVectorInputPort("pusher_yaw", 1)
         self._identification = self.DeclareAbstractInputPort(
             "identification", AbstractValue.Make(describe_prior(obj))
         )
@@ -346,11 +351,25 @@ class FollowController(AbstractStateSystem[FollowControlState]):
 
     def _send_down(self, now: FollowControlState) -> FollowControlState:
         """Commands the finger to come down at the present place."""
-        x, y = now.prepared.places[now.place].tolist()
+        x, y, *yaw = now.prepared.places[now.place].tolist()
         # no number is used twice, whatever was commanded and withdrawn before
         number = 1 + max(now.command.command_id, now.place, 100 * now.status.plans)
         now = now.turn_to(FollowMode.GOING, "The finger goes to the object's side.")
-        return replace(now, command=SteerCommand(command_id=number, x=x, y=y))
+        turned = self._turn_tool(*yaw) if yaw else 0.0
+        return replace(now, command=SteerCommand(command_id=number, x=x, y=y, yaw=turned))
+
+    def _turn_tool(self, yaw: float) -> float:
+        """Returns the smallest angle, rad, at which the finger looks as it does at a yaw, rad."""
+        shape = self.rules.finger.shape
+        assert shape is not None
+        return float((yaw + shape.period / 2) % shape.period - shape.period / 2)
+
+    def _read_tip(self, context: Context) -> tuple[float, ...]:
+        """Reads where the finger is: (x, y), and the angle of one that is no disc, m and rad."""
+        x, y = self._pusher_state.Eval(context)[:2].tolist()
+        if self.rules.finger.shape is None:
+            return x, y
+        return x, y, float(self._pusher_yaw.Eval(context)[0])
 
     def _come_down(self, context: Context, now: FollowControlState) -> FollowControlState:
         """Waits until the finger is down; if the arm does not get there, tries the next place."""
@@ -380,8 +399,8 @@ class FollowController(AbstractStateSystem[FollowControlState]):
     def _follow(self, context: Context, now: FollowControlState) -> FollowControlState:
         """Notes where finger and object are, and decides when it is time to."""
         time = context.get_time()
-        x, y = self._pusher_state.Eval(context)[:2].tolist()
-        now = self._look(context, replace(now, tips=(*now.tips, (time, x, y))))
+        tip = self._read_tip(context)
+        now = self._look(context, replace(now, tips=(*now.tips, (time, *tip))))
         # The finger goes up by itself where it presses too hard.
         steer: SteerStatus = self._steer_status.Eval(context)
         if steer.phase != SteerPhase.STEERING:
@@ -403,7 +422,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
                 now.seen,
                 now.learned,
                 lead=now.lead,
-                velocity=held * now.command.velocity,
+                velocity=held * now.command.velocity[: self.rules.finger.coordinates],
             )
             # a place that is not known tells nothing of the way
             known = (tip for tip in now.tips if is_plausible(tip[1:]))
@@ -426,7 +445,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
         if answer is None:
             # What was decided last holds for a while, but the finger goes nowhere blindly.
             if time > asked_at + HELD_PERIODS * self.rules.options.period:
-                now = replace(now, command=replace(now.command, vx=0.0, vy=0.0))
+                now = replace(now, command=replace(now.command, vx=0.0, vy=0.0, yaw_rate=0.0))
             return now
         lead = now.lead + LEAD_GAIN * (time - asked_at - now.lead)
         now = replace(now, lead=lead)
@@ -465,8 +484,10 @@ class FollowController(AbstractStateSystem[FollowControlState]):
 
     def _heed(self, now: FollowControlState, decision: FollowDecision) -> FollowControlState:
         """Does what was decided."""
-        vx, vy = decision.velocity.tolist()
-        now = replace(now, progress=decision.progress, command=replace(now.command, vx=vx, vy=vy))
+        vx, vy, *turning = decision.velocity.tolist()
+        rate = turning[0] if turning else 0.0
+        command = replace(now.command, vx=vx, vy=vy, yaw_rate=rate)
+        now = replace(now, progress=decision.progress, command=command)
         status = decision.status
         if status == FollowStatus.PUSHING or status in BLIND_STATUSES:
             return now.explain(decision.reason or PUSHING_REASON, status)

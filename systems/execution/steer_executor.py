@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySegment
+from gridpush_drake.multibody.tool_motion import TrajectorySegment, calc_tool_pose, make_transform
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.systems.base.messages import (
     STEER_COMMAND_SIZE,
@@ -26,7 +26,7 @@ from gridpush_drake.systems.base.messages import (
     SteerStatus,
 )
 from gridpush_drake.systems.base.object_controller import AbstractStateSystem
-from gridpush_drake.systems.execution.push_executor import NOT_FINITE, SPEED_SCALES, Reach
+from gridpush_drake.systems.execution.push_executor import NOT_FINITE, SPEED_SCALES, Place, Reach
 
 OUTSIDE_REGION = "the finger would leave the region in which it may be"
 """Reason for which the finger is held back, or a command is refused."""
@@ -42,8 +42,11 @@ class SteerOptions:
         travel_speed: speed of the tip while it passes over the object, m/s.
         vertical_speed: speed of the tip while it goes down or up, m/s.
         travel_acceleration: greatest acceleration on these ways, m/s².
+        turns: whether the tool turns, too, as one whose pusher is no disc.
         max_speed: greatest speed while it is steered, m/s; a faster velocity is shortened.
         acceleration: greatest acceleration while it is steered, m/s².
+        max_turning_speed: greatest speed at which the tool turns while it is steered, rad/s.
+        turning_acceleration: greatest acceleration of that, rad/s².
         max_force: greatest force on the tip, N; beyond it the finger brakes hard, and goes up.
         hard_braking: the acceleration of that, m/s².
         period: time between two updates of the state, s.
@@ -54,8 +57,11 @@ class SteerOptions:
     travel_speed: float = 0.3
     vertical_speed: float = 0.15
     travel_acceleration: float = 1.0
+    turns: bool = False
     max_speed: float = 0.2
     acceleration: float = 1.0
+    max_turning_speed: float = 1.0
+    turning_acceleration: float = 10.0
     max_force: float = np.inf
     hard_braking: float = 2.0
     period: float = 0.005
@@ -69,8 +75,9 @@ class SteerState(Unchanging):
         segments: the way that is gone at present and those still to come; none while the finger is
             steered, and while there is nothing to do.
         segment_start: time at which the first of them began, s.
-        place: (x, y) of the tip's center at `time`, while it is steered, m.
-        velocity: (vx, vy) of the tip's center from then on, m/s.
+        place: (x, y) of the tip's center at `time`, while it is steered, m; (x, y, yaw) of a tool
+            that turns, rad.
+        velocity: of that from then on, m/s and rad/s.
         time: time of the last update while it is steered, s.
         pressed: why the finger brakes hard, a part of a sentence; empty if it does not.
         status: the status on the port.
@@ -78,8 +85,8 @@ class SteerState(Unchanging):
 
     segments: tuple[TrajectorySegment, ...] = ()
     segment_start: float = 0.0
-    place: tuple[float, float] = (0.0, 0.0)
-    velocity: tuple[float, float] = (0.0, 0.0)
+    place: tuple[float, ...] = (0.0, 0.0)
+    velocity: tuple[float, ...] = (0.0, 0.0)
     time: float = 0.0
     pressed: str = ""
     status: SteerStatus = field(default_factory=SteerStatus)
@@ -114,8 +121,8 @@ class SteerExecutor(AbstractStateSystem[SteerState]):
     * passed_tip_pose: abstract `RigidTransform`, X_WP that the other executors desire, m; it is at
       rest while those are idle.
     * push_status: abstract `PushStatus` of the executor of pushes.
-    * steer_command: vector of 5, command_id, x, y (m), vx, vy (m/s), see `SteerCommand`. It need
-      not be connected.
+    * steer_command: vector of 7, command_id, x, y (m), vx, vy (m/s), yaw (rad), yaw_rate (rad/s),
+      see `SteerCommand`; the last two count if the tool turns. It need not be connected.
     * tip_force: vector of 3, force on the tip in W, N. It need not be connected.
     * tip_pose: abstract `RigidTransform`, desired X_WP, m.
     * status: abstract `SteerStatus`.
@@ -164,14 +171,15 @@ class SteerExecutor(AbstractStateSystem[SteerState]):
         now = self._get_state(context)
         time = context.get_time()
         if now.segments:
-            position = now.segments[0].position(time - now.segment_start)
+            x, y, z, *yaw = now.segments[0].position(time - now.segment_start).tolist()
         elif now.status.phase == SteerPhase.STEERING:
-            x, y = np.array(now.place) + (time - now.time) * np.array(now.velocity)
-            position = np.array([x, y, self.style.push_height])
+            place = np.array(now.place) + (time - now.time) * np.array(now.velocity)
+            x, y, *yaw = place.tolist()
+            z = self.style.push_height
         else:
             output.set_value(self._passed.Eval(context))
             return
-        output.set_value(RigidTransform(R_WP_DOWN, position))
+        output.set_value(make_transform((x, y, z, *(yaw or (0.0,)))))
 
     def _go_on(self, context: Context, now: SteerState) -> SteerState:
         """Goes on with a way or with steering, or takes up or refuses a command."""
@@ -207,34 +215,43 @@ class SteerExecutor(AbstractStateSystem[SteerState]):
         if self._region is not None and not self._region.covers(place):
             return (), f"({command.x:.3f}, {command.y:.3f}) m: {OUTSIDE_REGION}"
         # A stretched arm may follow the same way more slowly.
-        x, y, z = self._passed.Eval(context).translation().tolist()
+        rest = self._read_rest(context)
         reason: str | None = None
         for scale in SPEED_SCALES:
-            segments = self._make_way_down((x, y, z), command, scale)
+            segments = self._make_way_down(rest, command, scale)
             if self._reach is None:
                 return segments, ""
             path = np.array([segments[0].start, *(segment.end for segment in segments)])
-            reason = self._reach(path, np.array([segment.speed for segment in segments]))
+            speeds = np.array([segment.speed for segment in segments])
+            turns = (path[:, 3],) if self.style.turns else ()
+            reason = self._reach(path[:, :3], speeds, *turns)
             if reason is None:
                 return segments, ""
         return (), reason or ""
 
+    def _read_rest(self, context: Context) -> Place:
+        """Reads where the other executors have the tip, with the yaw of a tool that turns."""
+        X_WP: RigidTransform = self._passed.Eval(context)
+        x, y, z, yaw = calc_tool_pose(X_WP)
+        return (x, y, z, yaw) if self.style.turns else (x, y, z)
+
     def _make_way_down(
-        self, rest: Point, command: SteerCommand, scale: float
+        self, rest: Place, command: SteerCommand, scale: float
     ) -> tuple[TrajectorySegment, ...]:
         """Makes the way up if need be, over, and down; the speeds are scaled."""
         style = self.style
-        x, y, z = rest
+        x, y, z, *yaw = rest
+        turned = [command.yaw] if style.turns else []
         high = max(z, style.travel_height)
         acceleration = style.travel_acceleration
         travel = scale * style.travel_speed
         vertical = scale * style.vertical_speed
-        above = (command.x, command.y, high)
-        below = (command.x, command.y, style.push_height)
+        above = (command.x, command.y, high, *turned)
+        below = (command.x, command.y, style.push_height, *turned)
         ways = []
         if z < high:
-            ways.append((SteerPhase.APPROACHING, rest, (x, y, high), vertical))
-        ways.append((SteerPhase.APPROACHING, (x, y, high), above, travel))
+            ways.append((SteerPhase.APPROACHING, rest, (x, y, high, *yaw), vertical))
+        ways.append((SteerPhase.APPROACHING, (x, y, high, *yaw), above, travel))
         ways.append((SteerPhase.DESCENDING, above, below, vertical))
         return tuple(
             TrajectorySegment(phase, start, end, speed, acceleration)
@@ -246,7 +263,7 @@ class SteerExecutor(AbstractStateSystem[SteerState]):
         done, *left = now.segments
         if time - now.segment_start < done.duration:
             return now
-        x, y, _ = done.end
+        x, y, _, *yaw = done.end
         if left:
             phase = SteerPhase(left[0].phase)
         elif done.phase == SteerPhase.DESCENDING:
@@ -257,8 +274,8 @@ class SteerExecutor(AbstractStateSystem[SteerState]):
             now,
             segments=tuple(left),
             segment_start=time,
-            place=(x, y),
-            velocity=(0.0, 0.0),
+            place=(x, y, *yaw),
+            velocity=(0.0,) * (2 + len(yaw)),
             time=time,
             status=replace(now.status, phase=phase),
         )
@@ -278,24 +295,38 @@ class SteerExecutor(AbstractStateSystem[SteerState]):
         if ends and not velocity.any():
             return self._go_up(context, replace(now, pressed=pressed), time, place)
         # The velocity that is wanted, no faster than it may be.
-        wanted = np.zeros(2)
+        wanted = np.zeros(len(velocity))
         if command is not None and not ends:
-            speed = float(np.linalg.norm(command.velocity))
-            wanted = command.velocity * min(1.0, style.max_speed / max(speed, style.max_speed))
+            wanted = command.velocity[: len(velocity)]
+            wanted[:2] = _limit(wanted[:2], style.max_speed)
+            wanted[2:] = _limit(wanted[2:], style.max_turning_speed)
         # What can be had of it now; where that leads out of the region, the finger brakes.
         most = (style.hard_braking if pressed else style.acceleration) * style.period
-        changed = _approach(velocity, wanted, most)
+        changed = self._approach(velocity, wanted, most)
         reason = "" if command is not None else NOT_FINITE
-        if not self._may_go(place, changed):
-            changed = _approach(velocity, np.zeros(2), most)
+        if not self._may_go(place[:2], changed[:2]):
+            changed = self._approach(velocity, np.zeros(len(velocity)), most)
             reason = OUTSIDE_REGION
-        x, y = place.tolist()
-        vx, vy = changed.tolist()
         status = now.status
         if status.reason != reason:
             status = replace(status, reason=reason)
         return replace(
-            now, place=(x, y), velocity=(vx, vy), time=time, pressed=pressed, status=status
+            now,
+            place=tuple(place.tolist()),
+            velocity=tuple(changed.tolist()),
+            time=time,
+            pressed=pressed,
+            status=status,
+        )
+
+    def _approach(self, velocity: Array, wanted: Array, most: float) -> Array:
+        """Changes a velocity (D,) towards another one; that of the tip by at most so much, m/s."""
+        turn = self.style.turning_acceleration * self.style.period
+        return np.concatenate(
+            [
+                _approach(velocity[:2], wanted[:2], most),
+                _approach(velocity[2:], wanted[2:], turn),
+            ]
         )
 
     def _find_pressure(self, context: Context) -> str:
@@ -326,17 +357,18 @@ class SteerExecutor(AbstractStateSystem[SteerState]):
     def _go_up(self, context: Context, now: SteerState, time: float, place: Array) -> SteerState:
         """Begins the way up and back to where the other executors have the tip."""
         style = self.style
-        x, y = place.tolist()
-        x1, y1, z1 = self._passed.Eval(context).translation().tolist()
+        x, y, *yaw = place.tolist()
+        rest = self._read_rest(context)
+        x1, y1, z1, *yaw1 = rest
         high = max(style.travel_height, z1)
         acceleration = style.travel_acceleration
-        below = (x, y, style.push_height)
-        above = (x, y, high)
-        over = (x1, y1, high)
+        below = (x, y, style.push_height, *yaw)
+        above = (x, y, high, *yaw)
+        over = (x1, y1, high, *yaw1)
         ways = [(SteerPhase.RETRACTING, below, above, style.vertical_speed)]
         ways.append((SteerPhase.RETURNING, above, over, style.travel_speed))
         if z1 < high:
-            ways.append((SteerPhase.RETURNING, over, (x1, y1, z1), style.vertical_speed))
+            ways.append((SteerPhase.RETURNING, over, rest, style.vertical_speed))
         segments = tuple(
             TrajectorySegment(phase, start, end, speed, acceleration)
             for phase, start, end, speed in ways
@@ -346,7 +378,13 @@ class SteerExecutor(AbstractStateSystem[SteerState]):
 
 
 def _approach(velocity: Array, wanted: Array, most: float) -> Array:
-    """Changes a velocity (2,) towards another one, m/s, by at most so much."""
+    """Changes a velocity towards another one by at most so much."""
     change = wanted - velocity
     size = float(np.linalg.norm(change))
     return wanted if size <= most else velocity + change * (most / size)
+
+
+def _limit(vector: Array, most: float) -> Array:
+    """Shortens a vector to a greatest length."""
+    size = float(np.linalg.norm(vector))
+    return vector if size <= most else vector * (most / size)

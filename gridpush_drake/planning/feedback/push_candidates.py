@@ -75,6 +75,7 @@ def draw_candidates(
         scales=draw_log_uniform(rng, CHANGE_SIZES, options.changes),
         longest=float(period * finger.walking_speed),
         turn=float(turn),
+        most_yaw=float(finger.most_yaw),
     )
 
 

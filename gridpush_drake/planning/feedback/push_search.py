@@ -106,6 +106,7 @@ class PushMoves(NamedTuple):
         scales: (K,) their sizes, m.
         longest: farthest that the finger may go in a decision, m.
         turn: farthest that a finger that is no disc may turn in a decision, rad.
+        most_yaw: greatest size of its angle, rad.
     """
 
     strokes: Any
@@ -114,6 +115,7 @@ class PushMoves(NamedTuple):
     scales: Any
     longest: Any
     turn: Any
+    most_yaw: Any
 
 
 @kernel(allocates=False)
@@ -183,19 +185,28 @@ def _step_candidate(model, cost_terms, room, bench, k, least):
 
 
 @kernel(allocates=False)
-def _limit(bench, k, longest, turn):
+def _limit(bench, k, moves):
     """Shortens the way to the k-th place to what the finger may go, and turn, in a decision."""
     x = bench.states[k, TIP_X]
     y = bench.states[k, TIP_Y]
     dx = bench.targets[k, 0] - x
     dy = bench.targets[k, 1] - y
     length = hypot(dx, dy)
+    longest = moves.longest
     if length > longest:
         bench.targets[k, 0] = x + dx * longest / length
         bench.targets[k, 1] = y + dy * longest / length
     if bench.targets.shape[1] > 2:
-        yaw = bench.states[k, TIP_YAW]
-        bench.targets[k, 2] = yaw + min(max(bench.targets[k, 2] - yaw, -turn), turn)
+        _limit_turn(bench.states[k, TIP_YAW], bench.targets[k], moves)
+
+
+@kernel(allocates=False)
+def _limit_turn(yaw, target, moves):
+    """Limits the angle of a place (3,) to what a finger that is no disc may turn in a decision."""
+    target[2] = yaw + min(max(target[2] - yaw, -moves.turn), moves.turn)
+    # one that is turned too far already turns no farther
+    most = max(moves.most_yaw, abs(yaw))
+    target[2] = min(max(target[2], -most), most)
 
 
 @kernel()
@@ -209,7 +220,7 @@ def _roll_plan(model, cost_terms, room, bench, first, length, least, moves, befo
     end = first
     total = before
     for k in range(first, length):
-        _limit(bench, k, moves.longest, moves.turn)
+        _limit(bench, k, moves)
         cost, over = _step_candidate(model, cost_terms, room, bench, k, least)
         if cost_terms.follows:
             total += cost
@@ -227,23 +238,29 @@ def _roll_plan(model, cost_terms, room, bench, first, length, least, moves, befo
 
 
 @kernel(allocates=False)
-def _come_near(primitive, aim, state, turn, target):
+def _come_near(primitive, aim, period, state, moves, target):
     """Finds the next place of a finger that is no disc, before it pushes.
 
     Args:
         primitive: (PRIMITIVE_SIZE,) the stroke.
         aim: its `Aim`.
+        period: angle after which the finger looks the same, rad.
         state: (STATE_SIZE,) now.
-        turn: farthest that the finger may turn, rad.
+        moves: `PushMoves`.
         target: (3,) filled: the place where it comes near, as far as it gets; before it faces the
             outline, where it is.
 
     Returns:
         Whether it has come near already.
     """
-    off = state[THETA] + aim.yaw - state[TIP_YAW]
-    off -= 2.0 * np.pi * np.floor(off / (2.0 * np.pi) + 0.5)
-    target[2] = state[TIP_YAW] + min(max(off, -turn), turn)
+    # the smallest turn after which it faces the outline, or the next one that the wrist can make
+    yaw = state[TIP_YAW]
+    off = state[THETA] + aim.yaw - yaw
+    off -= period * np.floor(off / period + 0.5)
+    if abs(yaw + off) > moves.most_yaw:
+        off -= np.copysign(period, yaw + off)
+    target[2] = yaw + off
+    _limit_turn(yaw, target, moves)
     c = cos(state[THETA])
     s = sin(state[THETA])
     dx = state[X] + c * aim.near_x - s * aim.near_y - state[TIP_X]
@@ -276,7 +293,7 @@ def _roll_primitive(
         tip_x = state[TIP_X]
         tip_y = state[TIP_Y]
         target = bench.targets[k]
-        if coming and _come_near(primitive, aim, state, moves.turn, target):
+        if coming and _come_near(primitive, aim, ways.period, state, moves, target):
             coming = False
             walking = False
         if walking:
@@ -297,6 +314,7 @@ def _roll_primitive(
             target[1] = tip_y + primitive[LENGTH] * sin(angle)
             if ways.comes_near:
                 target[2] = state[TIP_YAW] + primitive[SPIN]
+                _limit_turn(state[TIP_YAW], target, moves)
             heading += primitive[BEND]
             pushed += 1
         cost, over = _step_candidate(model, cost_terms, room, bench, k, least)

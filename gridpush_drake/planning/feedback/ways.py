@@ -85,6 +85,7 @@ def make_outline_path(
         inward=angles,
         near=near,
         comes_near=shape is not None,
+        period=2.0 * np.pi if shape is None else shape.period,
         ring=ring,
         edges=np.column_stack([corners[:-1], corners[1:]]),
         standoff=standoff,

@@ -29,7 +29,11 @@ from gridpush_drake.station.control.grasping import (
 from gridpush_drake.station.robot.arm import ArmReach
 from gridpush_drake.station.robot.arm_driver import AddArmKinematics
 from gridpush_drake.station.scene.camera import calc_pose_age
-from gridpush_drake.station.scene.finger_region import REGION_SLACK, make_steer_region
+from gridpush_drake.station.scene.finger_region import (
+    REGION_SLACK,
+    STEER_TURNING_SPEED,
+    make_steer_region,
+)
 from gridpush_drake.station.scene.setting import (
     StationSetting,
     find_lookouts,
@@ -411,7 +415,9 @@ def _AddSteerExecutor(
     style = SteerOptions(
         travel_height=scenario.finger.travel_height,
         push_height=scenario.finger.push_height,
+        turns=setting.robot.shape is not None,
         max_speed=speed,
+        max_turning_speed=STEER_TURNING_SPEED,
         max_force=FORCE_FRACTION * scenario.safety.force,
     )
     # The follower keeps to the same region by a grid of places, which is a little less exact.

@@ -274,6 +274,7 @@ class ArmReach:
         height: float,
         step: float = REGION_STEP,
         speed: float | None = None,
+        yaw: float = 0.0,
     ) -> BaseGeometry:
         """Finds where the tip can be, by leading it from place to place on a square grid.
 
@@ -283,6 +284,7 @@ class ArmReach:
             step: distance between places, m.
             speed: speed of the tip that the arm must be able to keep everywhere, m/s; a stretched
                 arm cannot. None if it does not matter.
+            yaw: of the tool, rad.
 
         Returns:
             The union of the grid's squares whose middle is reached, within the bounds, a polygon or
@@ -293,7 +295,7 @@ class ArmReach:
         ys = np.arange(y0 + step / 2, y1, step)
         # Tip (x, y, z), m, and yaw, rad, at each place of the grid.
         places = {
-            (i, j): np.array([x, y, height, 0.0])
+            (i, j): np.array([x, y, height, yaw])
             for i, x in enumerate(xs)
             for j, y in enumerate(ys)
         }

@@ -45,6 +45,7 @@ def MeasureGripperTip(
     robot: Robot,
     push_height: float,
     top: float,
+    highest: float,
 ) -> GripperTip:
     """Measures the ends of the gripper with which a robot pushes.
 
@@ -54,9 +55,10 @@ def MeasureGripperTip(
         robot: a robot whose gripper pushes.
         push_height: height of the tip's frame above the table, m.
         top: height of the highest object, m.
+        highest: height of the highest object or post, m.
 
     Returns:
-        Its shape, and how far the fingers reach below the tip's frame.
+        Its shape, and how far it reaches down and to the side.
 
     Raises:
         ScenarioError: a collision geometry is neither a box nor a sphere, none is as low as the
@@ -69,6 +71,7 @@ def MeasureGripperTip(
     tip = plant.GetFrameByName(robot.finger.tip_frame, gripper)
     touching: list[BaseGeometry] = []
     depth = 0.0
+    reach = 0.0
     for index in plant.GetBodyIndices(gripper):
         body = plant.get_body(index)
         X_PB = body.body_frame().CalcPose(context, tip)
@@ -84,6 +87,9 @@ def MeasureGripperTip(
             low = corners[:, 2].max() + margin
             high = corners[:, 2].min() - margin
             depth = max(depth, float(low))
+            if low > push_height - highest:
+                aside = np.linalg.norm(corners[:, :2], axis=1).max() + margin
+                reach = max(reach, float(aside))
             if high < push_height and low > push_height - top:
                 # seen from above, x of the pusher's frame is against the tool's
                 seen = corners[:, :2] * (-1.0, 1.0)
@@ -94,7 +100,7 @@ def MeasureGripperTip(
             f"top, {top:g} m; expected a lower finger.push_height"
         )
     make_shape = _make_hull if robot.opening == 0.0 else _make_fingertips
-    return GripperTip(make_shape(touching, model), depth)
+    return GripperTip(make_shape(touching, model), depth, reach)
 
 
 def _list_corners(shape: Box | Sphere, X_PG: RigidTransform) -> tuple[Array, float]:

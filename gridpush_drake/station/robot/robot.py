@@ -61,10 +61,13 @@ class GripperTip:
         shape: all with which it touches objects, seen from above: of a closed gripper its convex
             hull, of two fingers that of each. Its frame is at the gripper's `tip_frame`.
         depth: how far the fingers reach below that frame, m.
+        reach: how far all of the gripper that is no higher than the highest post or object reaches
+            from that frame to the side, m.
     """
 
     shape: PusherShape
     depth: float
+    reach: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +111,11 @@ class Robot:
     def tip_depth(self) -> float:
         """How far the finger or the gripper reaches below its tip's frame, m."""
         return self.finger.tip_radius if self.tip is None else self.tip.depth
+
+    @property
+    def clear_radius(self) -> float:
+        """Least distance of the tip's frame from posts and other objects, m."""
+        return self.finger.tip_radius if self.tip is None else self.tip.reach
 
     @property
     def pusher(self) -> Pusher:

@@ -19,6 +19,13 @@ STEER_INSET = 0.03
 """Distance that a steered finger keeps from the limits of workspace and reach, m. There the joints
 of a stretched arm would turn too fast for it."""
 
+STEER_TURNING_SPEED = 1.0
+"""Greatest speed at which a gripper turns while it is steered, rad/s."""
+
+MOST_STEER_YAW = 1.8
+"""Greatest angle to which a gripper is turned while it is steered, either way, rad. It looks the
+same after half a turn, so that it faces any direction, and has something left to turn with."""
+
 CRACK_HALF_WIDTH = 1e-4
 """Half the width of cracks in a region that do not count, m."""
 
@@ -94,7 +101,7 @@ def make_finger_region(setting: Surroundings, reach: ArmReach, inset: float = 0.
         places where the tip would touch an obstacle; it may be empty.
     """
     region = _make_reach_region(setting, reach, inset)
-    return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius + inset)
+    return leave_out(region, setting.obstacles, setting.robot.clear_radius + inset)
 
 
 def make_steer_region(setting: Surroundings, reach: ArmReach, speed: float) -> BaseGeometry:
@@ -109,7 +116,7 @@ def make_steer_region(setting: Surroundings, reach: ArmReach, speed: float) -> B
         speed: greatest speed of the finger, m/s.
     """
     region = _make_reach_region(setting, reach, STEER_INSET, speed)
-    return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius)
+    return leave_out(region, setting.obstacles, setting.robot.clear_radius)
 
 
 def _make_reach_region(
@@ -124,7 +131,11 @@ def _make_reach_region(
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
     if setting.robot.arm.reach is None or speed is not None:
         # A region that is found in squares has hairline cracks between them.
-        found = reach.find_region(box.bounds, height, speed=speed)
+        turns = setting.robot.shape is not None and speed is not None
+        yaws = (0.0, -MOST_STEER_YAW, MOST_STEER_YAW) if turns else (0.0,)
+        found = shapely.intersection_all(
+            [reach.find_region(box.bounds, height, speed=speed, yaw=yaw) for yaw in yaws]
+        )
         box = found.buffer(CRACK_HALF_WIDTH, join_style="mitre").buffer(-CRACK_HALF_WIDTH)
     if setting.robot.arm.reach is None:
         return box.buffer(-inset)

@@ -250,7 +250,9 @@ def _MeasureGripper(
 ) -> Robot:
     """Returns the robot with what its gripper touches objects with, and how far that reaches."""
     top = max([scenario.object_height, *(other.height for other in scenario.others)])
-    tip = MeasureGripperTip(plant, inspector, robot, scenario.finger.push_height, top)
+    highest = max([top, *(post.height for post in scenario.posts)])
+    height = scenario.finger.push_height
+    tip = MeasureGripperTip(plant, inspector, robot, height, top, highest)
     finger = robot.finger.model_copy(update={"tip_radius": tip.shape.reach})
     return replace(robot, tip=tip, finger=finger)
 

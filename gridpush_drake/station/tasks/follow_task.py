@@ -23,7 +23,11 @@ from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.report.follow_figure import draw_follow_run, find_centers
 from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.station.scene.camera import calc_pose_age
-from gridpush_drake.station.scene.finger_region import make_steer_region
+from gridpush_drake.station.scene.finger_region import (
+    MOST_STEER_YAW,
+    STEER_TURNING_SPEED,
+    make_steer_region,
+)
 from gridpush_drake.station.scene.resolve import ResolvedScenario
 from gridpush_drake.station.scene.setting import make_surface
 from gridpush_drake.station.schema.scenario import PushScenario
@@ -154,6 +158,7 @@ class FollowTask(StationTask[FollowRecord]):
         rules: how the object is pushed along.
     """
 
+    takes_gripper = True
     lost_after = 5.0
     timeout = 15.0
 
@@ -302,12 +307,16 @@ def make_follow_rules(station: Station, path: PosePath | None) -> FollowRules:
     """
     scenario = station.scenario
     follow = scenario.section(FollowConfig)
+    shape = station.robot.shape
     return FollowRules(
         goal=np.array(scenario.goal.pose),
         finger=FeedbackFinger(
-            radius=station.robot.finger.tip_radius,
+            radius=station.robot.finger.tip_radius if shape is None else shape.radius,
             speed=follow.finger_speed,
             walking_speed=follow.walking_speed,
+            shape=shape,
+            turning_speed=STEER_TURNING_SPEED,
+            most_yaw=MOST_STEER_YAW,
         ),
         speed=follow.speed,
         path=path,

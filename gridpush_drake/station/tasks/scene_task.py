@@ -255,7 +255,7 @@ class SceneTask(StationTask[SceneTaskRecord]):
         return SceneRules(
             surface=self.surface,
             edge_margin=EDGE_MARGIN,
-            finger_region=leave_out(reached, posts, station.robot.finger.tip_radius),
+            finger_region=leave_out(reached, posts, station.robot.clear_radius),
             posts=posts,
             push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
         )

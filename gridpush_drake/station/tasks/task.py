@@ -94,6 +94,7 @@ INPUT_SOURCES = {
     "grasp_status": "grasp.status",
     "press_status": "press.status",
     "pusher_state": "pusher.state",
+    "pusher_yaw": "pusher.yaw",
     "steer_status": "steer.status",
 }
 """The station's output port for each input port that a controller may have, by the input's name."""
@@ -386,9 +387,9 @@ class StationTask(Generic[RecordType]):
         pusher = resolved.scenario.pusher
         if not cls.takes_gripper:
             return [
-                f"pusher is {pusher}, which is for the tasks identify, push, slide, separate and "
-                "rearrange, in which nothing is steered or grasped; expected one of them, or "
-                "pusher: finger, and a scene with a finger"
+                f"pusher is {pusher}, which is for the tasks identify, push, slide, follow, line, "
+                "separate and rearrange, in which nothing is grasped or pressed; expected one of "
+                "them, or pusher: finger, and a scene with a finger"
             ]
         if resolved.scenario.unknown_inertia:
             return [

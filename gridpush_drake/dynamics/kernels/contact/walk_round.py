@@ -22,6 +22,7 @@ class OutlinePath(NamedTuple):
         near: (M, 2) where the center of another shape, turned to `inward`, is next to the block; a
             disc's is where its stroke begins.
         comes_near: whether a stroke comes there before it pushes, as that of another shape does.
+        period: angle after which that shape looks the same.
         ring: (R, 2) points round the convex hull, at a distance.
         edges: (E, 4) both ends of the outline's edges.
         standoff: distance from the touch at which a stroke begins.
@@ -33,6 +34,7 @@ class OutlinePath(NamedTuple):
     inward: Any
     near: Any
     comes_near: Any
+    period: Any
     ring: Any
     edges: Any
     standoff: Any
