@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from gridpush_drake.dynamics.kernel_call import prepare_rollout
+from gridpush_drake.dynamics.kernel_call import make_support, prepare_rollout
 from gridpush_drake.dynamics.kernels.steering.finger_push import (
     FreeSpace,
     PushedModel,
@@ -134,27 +134,29 @@ def make_model(
         raise PlanningError("model: expected some friction with the support")
     model = Model(obj, params, used)
     corners = shapely.get_coordinates(obj.outline)
-    law, body, support, edges, scheme = prepare_rollout(model, None, approximate=approximate)
+    reach = float(np.linalg.norm(corners, axis=1).max())
     if shape is not None:
         tool = make_tool(shape)
+        bodies = make_bodies(model)
         return ShapedModel(
-            bodies=make_bodies(model),
-            support=support,
+            bodies=bodies,
+            support=make_support(model, None),
             tolerances=make_tolerances(used),
             tool=tool,
-            edges=edges,
-            reach=float(np.linalg.norm(corners, axis=1).max()),
+            edges=bodies.outline,
+            reach=reach,
             radius=shape.reach,
             step=ROLLOUT_STEP,
             contacts=count_contact_room(1, tool),
         )
+    law, body, support, edges, scheme = prepare_rollout(model, None, approximate=approximate)
     return PushedModel(
         law=law,
         body=body,
         support=support,
         edges=edges,
         scheme=scheme,
-        reach=float(np.linalg.norm(corners, axis=1).max()),
+        reach=reach,
         radius=float(radius),
         step=ROLLOUT_STEP,
     )

@@ -1,4 +1,4 @@
-"""`ContactForceSensor`: the force of contacts on a body of a plant, told with noise."""
+"""`ContactForceSensor`: the force of contacts on bodies of a plant, told with noise."""
 
 import numpy as np
 from pydrake.common.value import Value
@@ -13,7 +13,7 @@ DEFAULT_PERIOD = 0.01
 
 
 class ContactForceSensor(LeafSystem):
-    """Samples the sum of all contact forces on a body of a MultibodyPlant.
+    """Samples the sum of all contact forces on bodies of a MultibodyPlant that move together.
 
     .. pydrake_system::
 
@@ -24,7 +24,7 @@ class ContactForceSensor(LeafSystem):
         - force
 
     * contact_results: abstract `ContactResults` of the plant.
-    * force: vector of 3, force on the body in W, N, as last sampled, with noise and an offset.
+    * force: vector of 3, force on the bodies in W, N, as last sampled, with noise and an offset.
 
     Discrete state: the force on the port, and the number of samples so far. The noise of the k-th
     sample depends only on k and the seed, which is numeric parameter 0; the offset, N, is numeric
@@ -34,18 +34,22 @@ class ContactForceSensor(LeafSystem):
     __slots__ = NO_SLOTS
 
     def __init__(
-        self, body: BodyIndex, *, period: float = DEFAULT_PERIOD, noise: float = 0.0, seed: int = 0
+        self,
+        *bodies: BodyIndex,
+        period: float = DEFAULT_PERIOD,
+        noise: float = 0.0,
+        seed: int = 0,
     ) -> None:
         """Makes the sensor.
 
         Args:
-            body: index of the body in the plant.
+            bodies: indices in the plant of a body, or of several, such as those of a gripper.
             period: time between two samples, s.
             noise: standard deviation of the noise per axis, N.
             seed: seed of the noise.
         """
         super().__init__()
-        self._body = body
+        self._bodies = frozenset(bodies)
         self._noise = noise
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self._offset = self.DeclareNumericParameter(BasicVector(np.zeros(3)))
@@ -67,9 +71,9 @@ class ContactForceSensor(LeafSystem):
         for i in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(i)
             # The contact's force acts on body B.
-            if info.bodyB_index() == self._body:
+            if info.bodyB_index() in self._bodies:
                 force += info.contact_force()
-            elif info.bodyA_index() == self._body:
+            elif info.bodyA_index() in self._bodies:
                 force -= info.contact_force()
         count = int(context.get_discrete_state(self._count).value()[0])
         seed = int(context.get_numeric_parameter(self._seed).value()[0])

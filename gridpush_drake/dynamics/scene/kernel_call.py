@@ -140,6 +140,8 @@ def make_scene_state(poses: Array) -> BodyStates:
         twist=np.zeros((n, 3)),
         before=np.zeros((n, 3)),
         moved=np.zeros(n, np.int64),
+        tilt=np.zeros(2),
+        friction=np.zeros(2),
     )
 
 

@@ -364,9 +364,15 @@ def _add_control(
         )
     tip_force = None
     if steer_speed is not None:
-        body = world.plant.GetBodyByName(world.setting.robot.finger.tip_frame)
+        # the finger's tip, or all of a gripper that pushes
+        robot = world.setting.robot
+        if robot.tip is None:
+            bodies = [world.plant.GetBodyByName(robot.finger.tip_frame).index()]
+        else:
+            gripper_model = world.plant.GetModelInstanceByName(robot.finger_model)
+            bodies = world.plant.GetBodyIndices(gripper_model)
         felt = builder.AddNamedSystem(
-            "force_sensor", ContactForceSensor(body.index(), period=FORCE_PERIOD)
+            "force_sensor", ContactForceSensor(*bodies, period=FORCE_PERIOD)
         )
         builder.Connect(
             world.plant.get_contact_results_output_port(), felt.GetInputPort("contact_results")

@@ -169,6 +169,7 @@ class BodyStates(NamedTuple):
         twist: (N, 3) of the step before, in the frame of its end, m/s and rad/s.
         before: (N, 3) of the one before that.
         moved: (N,) steps moved in a row, up to `step_memory.MOVING`.
+        tilt, friction: (2,) of the loads of one body in the step before, see `support_loads`.
     """
 
     q: Any
@@ -176,6 +177,8 @@ class BodyStates(NamedTuple):
     twist: Any
     before: Any
     moved: Any
+    tilt: Any
+    friction: Any
 
 
 class Contacts(NamedTuple):

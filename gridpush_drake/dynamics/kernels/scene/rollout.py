@@ -101,6 +101,9 @@ def rollout_scene(
         n, cells if differentiate else 0, room if differentiate else 0, width
     )
     loads = make_loads(support)
+    for i in range(2):
+        loads.tilt[i] = state.tilt[i]
+        loads.friction[i] = state.friction[i]
 
     for b in range(n):
         state.turn[b, 0] = cos(state.q[b, 2])
@@ -196,6 +199,9 @@ def rollout_scene(
                 record.twists[t, b, i] = xi[b, i]
         if differentiate:
             _record_columns(J, row_of_step[t + 1], derivative.S)
+    for i in range(2):
+        state.tilt[i] = loads.tilt[i]
+        state.friction[i] = loads.friction[i]
     last = dts.shape[0]
     at_end = _move_tool(pusher, last, last, 1.0)
     record.finger_gaps[last] = measure_finger_gap(bodies, state, at_end, search.found)

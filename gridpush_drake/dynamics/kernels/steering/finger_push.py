@@ -32,8 +32,8 @@ from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, MIN_MOVING_
 X, Y, THETA, VX, VY, W, TIP_X, TIP_Y, TIP_YAW, MEMORY = range(10)
 """Places in a state: the object's pose, m and rad; its last velocity, by the finger's path; the
 finger's center, m, and its angle, rad; and, from MEMORY on, what the solver remembers
-(`kernels.step_memory`). Under a shape that is no disc the last velocity is the object's own, in the
-frame of the last step's end."""
+(`kernels.step_memory`). Under a shape that is no disc the last velocity is the object's twist in the
+frame of the last step, and MEMORY begins with the loads' tilt and friction."""
 
 STATE_SIZE = MEMORY + MEMORY_SIZE
 """Numbers of a state."""
@@ -201,6 +201,8 @@ def _make_shape_work(model):
             twist=np.zeros((1, 3)),
             before=np.zeros((1, 3)),
             moved=np.zeros(1, np.int64),
+            tilt=np.zeros(2),
+            friction=np.zeros(2),
         ),
         contacts=Contacts(
             ids=np.zeros((room, IDENTITY_SIZE), np.int64),
@@ -327,7 +329,7 @@ def _push_by_disc(model, work, state, to_x, to_y, turn, way, n):
 def _push_by_shape(model, work, state, to_x, to_y, turn, way, n):
     """Simulates n steps of a shape's way to a place, m, in which it turns, rad.
 
-    Of the motion before, the last twist is remembered.
+    Of the step before, its twist is remembered, and the loads' tilt and friction.
     """
     dx = to_x - state[TIP_X]
     dy = to_y - state[TIP_Y]
@@ -345,6 +347,9 @@ def _push_by_shape(model, work, state, to_x, to_y, turn, way, n):
         body.before[0, i] = state[VX + i]
         moved = moved or state[VX + i] != 0.0
     body.moved[0] = MIN_MOVING_STEPS if moved else 0
+    for i in range(2):
+        body.tilt[i] = state[MEMORY + i]
+        body.friction[i] = state[MEMORY + 2 + i]
     work.contacts.counts[0] = 0
     path = PusherPath(
         tip=work.tip,
@@ -368,6 +373,9 @@ def _push_by_shape(model, work, state, to_x, to_y, turn, way, n):
     for i in range(3):
         state[X + i] = body.q[0, i]
         state[VX + i] = body.twist[0, i]
+    for i in range(2):
+        state[MEMORY + i] = body.tilt[i]
+        state[MEMORY + 2 + i] = body.friction[i]
 
 
 def make_push_work(model):
