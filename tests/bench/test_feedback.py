@@ -44,9 +44,12 @@ from gridpush_drake.bench.steering.worlds import (
 from gridpush_drake.bench.study import Done
 from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
 from gridpush_drake.bench.truth.sets import FOUNDATION_KIND, draw_masses, make_body
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import PusherShape
+from gridpush_drake.errors import GridPushError, PlanningError
 from gridpush_drake.geometry.se2 import make_direction, rotate
 from gridpush_drake.identification.model import Model
+from gridpush_drake.jobs.results import make_key
 from gridpush_drake.planning.feedback.steered_finger import SteeredFinger, follow
 from gridpush_drake.planning.world import SimulatedWorld
 
@@ -113,6 +116,50 @@ def test_a_rod_in_mujoco_is_steered_and_takes_the_body_along():
     assert np.diff([seen.time for seen in came]).min() > 0
     world.put((0.1, 0.2, 0.3))
     assert finger.pose == pytest.approx([0.1, 0.2, 0.3], abs=1e-3)
+
+
+def test_a_plate_in_mujoco_is_steered_as_it_pushes():
+    pytest.importorskip("mujoco")
+    rng = np.random.default_rng(0)
+    obj, truth = draw_masses("toolbox", rng)
+    body = make_body(FOUNDATION_KIND, obj, truth, rng)
+    plate = PusherShape.plate(0.05, 0.02, 0.003)
+    left = float(obj.outline.bounds[0])
+    world = MujocoWorld(body, plate, pose=np.zeros(3))
+    begin = (left - 0.004, 0.02, 0.0)
+    finger = SteeredFinger(world, begin, plate.radius, POSE_SENSOR, shape=plate)
+    for _ in range(25):
+        finger.move((0.1, 0.0, 0.5))
+    assert finger.tip == pytest.approx([left + 0.046, 0.02, 0.25])
+    steered = finger.pose
+    t = np.linspace(0.0, 0.5, 26)
+    path = np.array(begin)[:2] + np.outer(t, [0.1, 0.0])
+    world.put(np.zeros(3))
+    world.execute(Push.along(t, path, shape=plate, yaw=0.5 * t))
+    assert np.abs(steered).max() > 0.03
+    assert steered == pytest.approx(world.truth.pose, abs=1e-6)
+    with pytest.raises(PlanningError, match="shape: not that of this world's pusher"):
+        world.steer(np.zeros(2), np.zeros(2), 0.1, plate.radius)
+
+
+def test_jobs_of_a_disc_keep_the_keys_that_they_had():
+    job = FeedbackJob(GOAL_RUN, LCP_WORLD, NAME, PRIMITIVE_PLANNER, 0)
+    assert "pusher" not in make_key(job)
+    assert "plate" in make_key(replace(job, pusher="plate:0.05x0.02x0.003"))
+    assert "plate" in replace(job, pusher="plate:0.05x0.02x0.003").describe()
+
+
+def test_only_what_is_steered_is_done_by_a_plate():
+    options = STUDY.options(worlds=(LCP_WORLD,), objects=(NAME,), pusher="plate:0.05x0.02x0.003")
+    jobs = STUDY.make_jobs(options)
+    assert {job.pusher for job in jobs} == {options.pusher}
+    assert PRIMITIVE_PLANNER not in {job.model for job in jobs}
+    with pytest.raises(
+        GridPushError, match="strokes and sessions with a hidden weight are by a disc"
+    ):
+        STUDY.make_jobs(replace(options, models=(PRIMITIVE_PLANNER,)))
+    with pytest.raises(GridPushError, match="--pusher: is 'brush'; expected plate:WxTxR"):
+        STUDY.make_jobs(replace(options, pusher="brush"))
 
 
 def test_a_poke_moves_the_object_and_is_seen():

@@ -241,8 +241,11 @@ def test_a_gripper_that_does_not_say_where_its_tip_is_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("task", "fields", "says"),
     [
-        ("follow", {}, "which is for the tasks identify, push, slide, separate and rearrange, in"),
-        ("pregrasp", {}, "pusher is gripper"),
+        (
+            "pregrasp",
+            {},
+            "which is for the tasks identify, push, slide, follow, line, separate and",
+        ),
         ("fetch", {}, "pusher is gripper"),
         ("push", {"unknown_inertia": True}, "and unknown_inertia is true"),
     ],
@@ -271,6 +274,31 @@ def test_the_table_of_a_gripper_that_slides_stands_where_something_could_be_gras
 def test_a_pusher_that_gets_to_no_place_of_the_edge_slides_nothing():
     with pytest.raises(StationError, match="workspace: the pusher gets to no place of the table"):
         TASK_KINDS["slide"].station(make_scenario(object_pose=[0.6, 0.0, 0.0]))
+
+
+def test_a_gripper_keeps_all_that_is_as_low_as_a_post_from_it():
+    """A Panda's hand is 0.2 m wide, and begins between the tops of these two posts."""
+    low, high = (
+        resolve(make_scenario(posts=[{"position": [0.75, 0.3], "height": height}])).robot
+        for height in (0.03, 0.08)
+    )
+    assert low.clear_radius == pytest.approx(low.shape.reach, abs=1e-3)
+    assert high.clear_radius > 0.09
+    assert high.shape.reach == low.shape.reach
+
+
+@pytest.mark.slow
+def test_an_object_is_pushed_along_a_line_with_a_gripper_that_turns():
+    scenario = read_scenario("line")
+    scenario.directives = make_robot_directives("panda", grasping=False, pusher="gripper")
+    scenario.pusher = "gripper"
+    scenario.pokes.count = 1
+    scenario.line.points = [[0.6, -0.12]]
+    task = TASK_KINDS["line"].station(scenario)
+    record = task.run()
+    assert record.status == "reached", record.message
+    assert record.distance < scenario.follow.position_tolerance + 0.002
+    assert record.limit_report.ok, record.limit_report
 
 
 @pytest.mark.slow

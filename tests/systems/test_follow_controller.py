@@ -123,7 +123,8 @@ class Run:
             if command.command_id == 0 and self.steer.phase == SteerPhase.STEERING:
                 self.steer = replace(self.steer, phase=SteerPhase.IDLE)
             moves = self.steer.phase == SteerPhase.STEERING
-            came = self.steered.move(command.velocity if moves else (0.0, 0.0))
+            size = len(self.steered.tip)
+            came = self.steered.move(command.velocity[:size] if moves else np.zeros(size))
             self.show(came[-1].pose)
             if self.status.mode in (FollowMode.REACHED, FollowMode.FAILED):
                 break

@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from shapely import box
 
-from gridpush_drake.multibody.tool_motion import R_WP_DOWN
+from gridpush_drake.multibody.tool_motion import R_WP_DOWN, calc_tool_pose
 from gridpush_drake.systems.base.messages import PushPhase, PushStatus, SteerCommand, SteerPhase
 from gridpush_drake.systems.execution.steer_executor import SteerExecutor, SteerOptions
 
@@ -46,6 +46,10 @@ class Steered:
     @property
     def tip(self):
         return self.executor.GetOutputPort("tip_pose").Eval(self.context).translation().copy()
+
+    @property
+    def yaw(self):
+        return calc_tool_pose(self.executor.GetOutputPort("tip_pose").Eval(self.context))[3]
 
     @property
     def status(self):
@@ -169,3 +173,24 @@ def test_the_finger_goes_up_by_itself_where_it_presses_too_hard():
     run.go(0.5)
     assert run.status.ready
     run.go_down(2)
+
+
+def test_a_tool_that_turns_comes_down_turned_and_is_steered_with_its_angle():
+    style = SteerOptions(turns=True, max_turning_speed=0.8)
+    asked = []
+    run = Steered(reach=lambda path, speeds, yaws: asked.append(yaws), style=style)
+    run.command(SteerCommand(1, *PLACE, yaw=0.7))
+    run.go(4.0)
+    assert run.status.phase == SteerPhase.STEERING
+    assert run.yaw == pytest.approx(0.7)
+    assert asked[0] == pytest.approx([0.0, 0.7, 0.7])
+    # no faster than it may, after a time to get there
+    run.command(SteerCommand(1, *PLACE, 0.05, 0.0, yaw_rate=2.0))
+    run.go(0.5)
+    lost = 0.8 / style.turning_acceleration / 2
+    assert run.yaw == pytest.approx(0.7 + 0.8 * (0.5 - lost), abs=0.01)
+    run.command(SteerCommand())
+    run.go(5.0)
+    assert run.status.ready
+    assert run.tip == pytest.approx(HOME)
+    assert run.yaw == pytest.approx(0.0, abs=1e-9)

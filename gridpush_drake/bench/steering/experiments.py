@@ -159,7 +159,7 @@ def make_jobs(options: FeedbackBenchOptions) -> list[FeedbackJob | SessionJob]:
     for name in names:
         find_shipped_object(name)
     jobs: list[FeedbackJob | SessionJob] = [
-        FeedbackJob(kind, world, name, model, options.seed + i, options.pusher or "")
+        FeedbackJob(kind, world, name, model, options.seed + i, pusher=options.pusher or "")
         for kind in kinds
         if kind in RUN_KINDS
         for world in worlds

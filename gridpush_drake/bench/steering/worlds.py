@@ -148,7 +148,7 @@ def put_body(
         ) -> SteeredFinger:
             world = SimulatedWorld(Model(obj, truth), pose)
             radius = STEERED_FINGER.radius if shape is None else shape.radius
-            return SteeredFinger(world, tip, radius, POSE_SENSOR, seed, shape)
+            return SteeredFinger(world, tip, radius, POSE_SENSOR, seed, shape=shape)
 
     else:
         body = make_body(world, obj, truth, rng)
@@ -165,7 +165,7 @@ def put_body(
         ) -> SteeredFinger:
             radius = STEERED_FINGER.radius if shape is None else shape.radius
             world = MujocoWorld(body, shape or radius, pose=pose)
-            return SteeredFinger(world, tip, radius, POSE_SENSOR, seed, shape)
+            return SteeredFinger(world, tip, radius, POSE_SENSOR, seed, shape=shape)
 
     return pokes_world, make_finger
 

@@ -252,7 +252,7 @@ def _MeasureGripper(
     top = max([scenario.object_height, *(other.height for other in scenario.others)])
     highest = max([top, *(post.height for post in scenario.posts)])
     height = scenario.finger.push_height
-    tip = MeasureGripperTip(plant, inspector, robot, height, top, highest)
+    tip = MeasureGripperTip(plant, inspector, robot, height, top=top, highest=highest)
     finger = robot.finger.model_copy(update={"tip_radius": tip.shape.reach})
     return replace(robot, tip=tip, finger=finger)
 

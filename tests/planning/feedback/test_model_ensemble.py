@@ -32,6 +32,7 @@ from tests.helpers.made_identifications import make_block
 
 OBJ = make_block(12)
 RADIUS = 0.01
+FINGER = FeedbackFinger(RADIUS)
 TRUTH = CellParameters.by_part(OBJ, {1: 0.03, 2: 0.3}, 0.4, 0.4)
 EVEN = CellParameters.uniform(OBJ)
 
@@ -72,7 +73,7 @@ def correct(ensemble, offset):
 
 
 def test_pushes_that_were_seen_make_the_prediction_of_another_push_better():
-    ensemble = ModelEnsemble(OBJ, EVEN, draw_models(32), RADIUS)
+    ensemble = ModelEnsemble(OBJ, EVEN, draw_models(32), FINGER)
     before = measure_error(ensemble.models[0], 0.01)
     for offset in (-0.02, 0.03, 0.0):
         correct(ensemble, offset)
@@ -88,17 +89,17 @@ def test_with_the_true_model_nothing_is_corrected_by_much():
     rng = np.random.default_rng(1)
     scale = np.exp(0.3 * rng.standard_normal((16, OBJ.n)))
     draws = [replace(TRUTH, mass=TRUTH.mass * row) for row in scale]
-    ensemble = ModelEnsemble(OBJ, TRUTH, draws, RADIUS)
+    ensemble = ModelEnsemble(OBJ, TRUTH, draws, FINGER)
     correct(ensemble, 0.0)
     assert ensemble.corrections > 2
     assert measure_error(ensemble.models[0], 0.01) < 5e-4
 
 
 def test_without_draws_or_motion_nothing_is_corrected():
-    alone = ModelEnsemble(OBJ, EVEN, [], RADIUS)
+    alone = ModelEnsemble(OBJ, EVEN, [], FINGER)
     correct(alone, 0.0)
     assert alone.corrections == 0
-    ensemble = ModelEnsemble(OBJ, EVEN, draw_models(8), RADIUS)
+    ensemble = ModelEnsemble(OBJ, EVEN, draw_models(8), FINGER)
     still = np.array([[-0.2, 0.0]])
     for at in range(200):
         assert not ensemble.add(0.02 * at, np.zeros(3), still)
@@ -109,7 +110,7 @@ def test_without_draws_or_motion_nothing_is_corrected():
 
 
 def test_a_copy_goes_on_by_itself():
-    ensemble = ModelEnsemble(OBJ, EVEN, draw_models(8), RADIUS)
+    ensemble = ModelEnsemble(OBJ, EVEN, draw_models(8), FINGER)
     correct(ensemble, 0.0)
     other = ensemble.copy()
     models = list(ensemble.models)
@@ -129,9 +130,8 @@ def follow_arc(ensemble):
     center = OBJ.p_BC.mean(axis=0)
     points = center + np.column_stack([s, 0.02 * (1 - np.cos(2 * np.pi * s / 0.3))])
     path = PosePath.through(OBJ, points, 0.05)
-    finger = FeedbackFinger(radius=RADIUS)
     options = FollowOptions(strokes=40, changes=60, draws=2, ensemble=ensemble)
-    follower = PushFollower(OBJ, EVEN, path, finger, draws=draw_models(24), options=options)
+    follower = PushFollower(OBJ, EVEN, path, FINGER, draws=draw_models(24), options=options)
     steered = SteeredFinger(
         SimulatedWorld(Model(OBJ, TRUTH), np.zeros(3)), (-0.09, 0.0), RADIUS, PoseSensorModel(), 3
     )

@@ -5,9 +5,10 @@ import pytest
 from shapely import LineString
 
 from gridpush_drake.dynamics.kernels.contact.walk_round import find_way
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.planning.feedback.ways import DISC_CLEARANCE, make_outline_path
+from gridpush_drake.planning.feedback.ways import DISC_CLEARANCE, NEAR_GAP, make_outline_path
 
 RADIUS = 0.008
 STEP = 0.02
@@ -62,3 +63,19 @@ def test_neighbors_on_the_ring_see_each_other(name):
     following = np.roll(ways.ring, -1, axis=0)
     for place, after in zip(ways.ring, following, strict=True):
         assert not near.intersects(LineString([place, after]))
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_a_plate_goes_round_as_the_disc_that_holds_it_and_comes_near(name):
+    obj = GridObject.from_yaml(find_shipped_object(name))
+    plate = PusherShape.plate(0.05, 0.02, 0.003)
+    ways = make_outline_path(obj.outline, plate.radius, plate)
+    disc = make_outline_path(obj.outline, plate.reach)
+    assert (ways.ring == disc.ring).all()
+    assert (ways.touch == disc.touch).all()
+    gaps = [
+        obj.outline.distance(plate.at([*near, angle]))
+        for near, angle in zip(ways.near, ways.inward, strict=True)
+    ]
+    assert min(gaps) > NEAR_GAP
+    assert np.median(gaps) < NEAR_GAP + 1e-3

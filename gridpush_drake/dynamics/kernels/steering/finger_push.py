@@ -32,8 +32,8 @@ from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, MIN_MOVING_
 X, Y, THETA, VX, VY, W, TIP_X, TIP_Y, TIP_YAW, MEMORY = range(10)
 """Places in a state: the object's pose, m and rad; its last velocity, by the finger's path; the
 finger's center, m, and its angle, rad; and, from MEMORY on, what the solver remembers
-(`kernels.step_memory`). Under a shape that is no disc the last velocity is the object's twist in the
-frame of the last step, and MEMORY begins with the loads' tilt and friction."""
+(`kernels.step_memory`). Under a shape that is no disc the last velocity is the object's twist in
+the frame of the last step, and MEMORY begins with the loads' tilt and friction."""
 
 STATE_SIZE = MEMORY + MEMORY_SIZE
 """Numbers of a state."""
