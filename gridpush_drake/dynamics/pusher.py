@@ -130,7 +130,7 @@ class PusherShape(Frozen):
 
     @cached_property
     def period(self) -> float:
-        """Angle about T's origin after which it looks the same, rad: half a turn, or a whole one."""
+        """Angle about T's origin after which it looks the same, rad: half or all of a turn."""
         area = self.area
         turned = shapely.affinity.rotate(area, 180.0, (0.0, 0.0))
         changed = area.symmetric_difference(turned).area

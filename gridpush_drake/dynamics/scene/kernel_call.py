@@ -16,8 +16,6 @@ from gridpush_drake.dynamics.kernels.contact.contact import Edges
 from gridpush_drake.dynamics.kernels.friction.friction_law import calc_spin_lever_arm
 from gridpush_drake.dynamics.kernels.scene.body_laws import copy_laws, join_laws
 from gridpush_drake.dynamics.kernels.scene.records import (
-    CONTACT_SIZE,
-    IDENTITY_SIZE,
     BodyArrays,
     BodyStates,
     Contacts,
@@ -25,6 +23,9 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     SceneSteps,
     Tolerances,
     Tool,
+    make_body_states,
+    make_contacts,
+    make_scene_record,
 )
 from gridpush_drake.dynamics.kernels.scene.rollout import rollout_scene
 from gridpush_drake.dynamics.kernels.support_loads import Support
@@ -133,16 +134,9 @@ def _join_shapes(objects: tuple[GridObject, ...]) -> JoinedShapes:
 
 def make_scene_state(poses: Array) -> BodyStates:
     """Makes the state of N bodies at rest at poses (N, 3)."""
-    n = len(poses)
-    return BodyStates(
-        q=np.array(poses, dtype=np.float64),
-        turn=np.zeros((n, 2)),
-        twist=np.zeros((n, 3)),
-        before=np.zeros((n, 3)),
-        moved=np.zeros(n, np.int64),
-        tilt=np.zeros(2),
-        friction=np.zeros(2),
-    )
+    state = make_body_states(len(poses))
+    state.q[:] = poses
+    return state
 
 
 def count_contact_room(n: int, tool: Tool | None = None) -> int:
@@ -165,17 +159,7 @@ def make_scene_contacts(n: int, tool: Tool | None = None) -> Contacts:
 
     A body alone needs less room where the pusher is known to be a `tool` of discs.
     """
-    room = count_contact_room(n, tool)
-    return Contacts(
-        ids=np.zeros((room, IDENTITY_SIZE), np.int64),
-        numbers=np.zeros((room, CONTACT_SIZE)),
-        lam=np.zeros((room, 2)),
-        modes=np.zeros(room, np.int64),
-        last_ids=np.zeros((room, IDENTITY_SIZE), np.int64),
-        last_modes=np.zeros(room, np.int64),
-        counts=np.zeros(2, np.int64),
-        lost=np.zeros(1, np.int64),
-    )
+    return make_contacts(count_contact_room(n, tool))
 
 
 def make_tool(shape: PusherShape) -> Tool:
@@ -259,24 +243,7 @@ def run_scene_kernel(
     Returns:
         The record.
     """
-    steps = len(dts)
-    n = len(state.q)
-    room = len(contacts.modes)
-    record = SceneSteps(
-        poses=np.empty((steps + 1, n, 3)),
-        twists=np.empty((steps, n, 3)),
-        counts=np.empty(steps, np.int64),
-        ids=np.zeros((steps, room, IDENTITY_SIZE), np.int64),
-        modes=np.zeros((steps, room), np.int64),
-        forces=np.zeros((steps, room, 2)),
-        points=np.zeros((steps, room, 2)),
-        gaps=np.zeros((steps, room)),
-        finger_gaps=np.empty(steps + 1),
-        statuses=np.empty((steps, 2), np.int64),
-        residuals=np.empty((steps, 2)),
-        load_centers=np.full((steps, 2), np.nan),
-        tips=np.zeros(steps, np.bool_),
-    )
+    record = make_scene_record(len(dts), len(state.q), len(contacts.modes))
     rollout_scene(
         bodies=bodies._replace(laws=copy_laws(bodies.laws)),
         support=support,

@@ -5,6 +5,8 @@ N bodies, M cells in all, P pairs of bodies, T steps, and room for R contacts a 
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 FINGER_BODY = -1
 """What stands for the pusher where a contact names its second body."""
 
@@ -237,3 +239,49 @@ class SceneSteps(NamedTuple):
     residuals: Any
     load_centers: Any
     tips: Any
+
+
+def make_body_states(n: int) -> BodyStates:
+    """Makes the state of n bodies at rest; compiled code calls it as a kernel, as what follows."""
+    return BodyStates(
+        q=np.zeros((n, 3)),
+        turn=np.zeros((n, 2)),
+        twist=np.zeros((n, 3)),
+        before=np.zeros((n, 3)),
+        moved=np.zeros(n, np.int64),
+        tilt=np.zeros(2),
+        friction=np.zeros(2),
+    )
+
+
+def make_contacts(room: int) -> Contacts:
+    """Makes room for contacts; none is there."""
+    return Contacts(
+        ids=np.zeros((room, IDENTITY_SIZE), np.int64),
+        numbers=np.zeros((room, CONTACT_SIZE)),
+        lam=np.zeros((room, 2)),
+        modes=np.zeros(room, np.int64),
+        last_ids=np.zeros((room, IDENTITY_SIZE), np.int64),
+        last_modes=np.zeros(room, np.int64),
+        counts=np.zeros(2, np.int64),
+        lost=np.zeros(1, np.int64),
+    )
+
+
+def make_scene_record(steps: int, n: int, room: int) -> SceneSteps:
+    """Makes an unfilled record of so many steps of n bodies, with room for contacts."""
+    return SceneSteps(
+        poses=np.empty((steps + 1, n, 3)),
+        twists=np.empty((steps, n, 3)),
+        counts=np.empty(steps, np.int64),
+        ids=np.zeros((steps, room, IDENTITY_SIZE), np.int64),
+        modes=np.zeros((steps, room), np.int64),
+        forces=np.zeros((steps, room, 2)),
+        points=np.zeros((steps, room, 2)),
+        gaps=np.zeros((steps, room)),
+        finger_gaps=np.empty(steps + 1),
+        statuses=np.empty((steps, 2), np.int64),
+        residuals=np.empty((steps, 2)),
+        load_centers=np.full((steps, 2), np.nan),
+        tips=np.zeros(steps, np.bool_),
+    )

@@ -19,12 +19,10 @@ from gridpush_drake.dynamics.kernels.inputs import Load, make_steps, take_first_
 from gridpush_drake.dynamics.kernels.numba_internals import BORROWED_OPTIONS, get_record_class
 from gridpush_drake.dynamics.kernels.rollout import rollout
 from gridpush_drake.dynamics.kernels.scene.records import (
-    CONTACT_SIZE,
-    IDENTITY_SIZE,
-    BodyStates,
-    Contacts,
     PusherPath,
-    SceneSteps,
+    make_body_states,
+    make_contacts,
+    make_scene_record,
 )
 from gridpush_drake.dynamics.kernels.scene.rollout import rollout_scene
 from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, MIN_MOVING_STEPS
@@ -152,6 +150,11 @@ class ShapeWork(NamedTuple):
     contacts: Any
 
 
+_make_states = kernel()(make_body_states)
+_make_contacts = kernel()(make_contacts)
+_make_scene_steps = kernel()(make_scene_record)
+
+
 @kernel()
 def _make_disc_work(model):
     """Makes the memory of a rollout under a disc."""
@@ -172,48 +175,16 @@ def _make_disc_work(model):
 def _make_shape_work(model):
     """Makes the memory of a rollout under a shape."""
     n = MAX_SUBSTEPS
-    room = model.contacts
     return ShapeWork(
         tip=np.zeros((n + 1, 2)),
         yaw=np.zeros(n + 1),
         variations=np.zeros((0, n + 1, 3)),
         dts=np.zeros(n),
         rows=np.full(n + 1, -1),
-        record=SceneSteps(
-            poses=np.zeros((n + 1, 1, 3)),
-            twists=np.zeros((n, 1, 3)),
-            counts=np.zeros(n, np.int64),
-            ids=np.zeros((n, room, IDENTITY_SIZE), np.int64),
-            modes=np.zeros((n, room), np.int64),
-            forces=np.zeros((n, room, 2)),
-            points=np.zeros((n, room, 2)),
-            gaps=np.zeros((n, room)),
-            finger_gaps=np.zeros(n + 1),
-            statuses=np.zeros((n, 2), np.int64),
-            residuals=np.zeros((n, 2)),
-            load_centers=np.zeros((n, 2)),
-            tips=np.zeros(n, np.bool_),
-        ),
+        record=_make_scene_steps(n, 1, model.contacts),
         J=np.empty((0, 1, 3, 0)),
-        state=BodyStates(
-            q=np.zeros((1, 3)),
-            turn=np.zeros((1, 2)),
-            twist=np.zeros((1, 3)),
-            before=np.zeros((1, 3)),
-            moved=np.zeros(1, np.int64),
-            tilt=np.zeros(2),
-            friction=np.zeros(2),
-        ),
-        contacts=Contacts(
-            ids=np.zeros((room, IDENTITY_SIZE), np.int64),
-            numbers=np.zeros((room, CONTACT_SIZE)),
-            lam=np.zeros((room, 2)),
-            modes=np.zeros(room, np.int64),
-            last_ids=np.zeros((room, IDENTITY_SIZE), np.int64),
-            last_modes=np.zeros(room, np.int64),
-            counts=np.zeros(2, np.int64),
-            lost=np.zeros(1, np.int64),
-        ),
+        state=_make_states(1),
+        contacts=_make_contacts(model.contacts),
     )
 
 
