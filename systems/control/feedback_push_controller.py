@@ -40,9 +40,6 @@ REPEATED_AFTER = 0.1
 """A pose on the port that has not changed for this time counts as seen anew, s: the object rests,
 and the camera does not say when it looks."""
 
-REST_VELOCITY = (0.0, 0.0)
-"""Velocity of a finger at rest, m/s."""
-
 
 @dataclass(frozen=True)
 class FeedbackPushStatus:
@@ -70,7 +67,7 @@ class FeedbackPushState:
 
     Attributes:
         status: where it stands.
-        velocity: (2,) of the finger, m/s.
+        velocity: (2,) of the finger, m/s; (3,) with rad/s of one that is no disc.
         follower: what decides; None before there was a goal.
         learned: what the follower's model is of; None for the model before anything was learned.
         goal: (3,) the goal; NaN where a path is followed, or there is none.
@@ -80,7 +77,7 @@ class FeedbackPushState:
     """
 
     status: FeedbackPushStatus
-    velocity: tuple[float, float]
+    velocity: tuple[float, ...]
     follower: PushFollower | None
     learned: Identification | None
     goal: tuple[float, ...]
@@ -99,6 +96,7 @@ class FeedbackPushController(AbstractStateSystem[FeedbackPushState]):
         - object_pose
         - pose_time
         - pusher_state
+        - pusher_yaw
         - identification
         - goal_pose
         output_ports:
@@ -112,11 +110,14 @@ class FeedbackPushController(AbstractStateSystem[FeedbackPushState]):
     * pusher_state: vector of 6, position p_WP of the finger's center, m, and its velocity, m/s, as
       `PusherStateSensor` and `ArmTipSensor` have it; only x and y are used. Where they are NaN the
       finger rests.
+    * pusher_yaw: vector of 1, angle of a finger that is no disc, rad, which counts whole turns; of
+      a disc it need not be connected.
     * identification: abstract `Identification`, what was learned; it need not be connected. While
       it has no `push_names`, `params` is the model.
     * goal_pose: vector of 3, X_WB of the object at the goal, m and rad; NaN for no goal. It need
       not be connected where a path is given.
-    * tip_velocity: vector of 2, velocity of the finger's center in W, m/s; zero while it rests.
+    * tip_velocity: vector of 2, velocity of the finger's center in W, m/s; zero while it rests. Of
+      a finger that is no disc it is a vector of 3, with rad/s.
     * status: abstract `FeedbackPushStatus`.
 
     The ports are looked at every `SAMPLE_PERIOD`, and a decision is made every
@@ -170,10 +171,11 @@ class FeedbackPushController(AbstractStateSystem[FeedbackPushState]):
         self._track = track
         self._pose_delay = pose_delay
         self._seed = seed
+        self._rest = (0.0,) * finger.coordinates
         follower = None if path is None else self._make_follower(path, None)
         begin = FeedbackPushState(
             status=FeedbackPushStatus(),
-            velocity=REST_VELOCITY,
+            velocity=self._rest,
             follower=follower,
             learned=None,
             goal=UNKNOWN_POSE,
@@ -183,11 +185,12 @@ class FeedbackPushController(AbstractStateSystem[FeedbackPushState]):
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._pose_time = self.DeclareVectorInputPort("pose_time", 1)
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 6)
+        self._pusher_yaw = self.DeclareVectorInputPort("pusher_yaw", 1)
         self._identification = self.DeclareAbstractInputPort(
             "identification", AbstractValue.Make(describe_prior(obj))
         )
         self._goal_pose = self.DeclareVectorInputPort("goal_pose", 3)
-        self._declare_vector("tip_velocity", 2, lambda now: now.velocity)
+        self._declare_vector("tip_velocity", finger.coordinates, lambda now: now.velocity)
         self._declare_value("status", lambda now: now.status)
 
     def _make_follower(
@@ -229,15 +232,16 @@ class FeedbackPushController(AbstractStateSystem[FeedbackPushState]):
             follower.set_model(learned.params, self._draw(learned))
         now = replace(now, follower=follower, goal=goal, learned=learned)
         if follower is None:
-            return replace(now, velocity=REST_VELOCITY, status=FeedbackPushStatus())
+            return replace(now, velocity=self._rest, status=FeedbackPushStatus())
         tip = self._pusher_state.Eval(context)[:2]
+        if self._finger.shape is not None:
+            tip = np.append(tip, self._pusher_yaw.Eval(context))
         follower.add_tip(time, tip)
         now = self._take_pose(context, now, follower)
         if time < now.decide_at - TIME_ROUNDING:
             return now
         decision = follower.decide(time, tip)
         x, y, theta = decision.pose.tolist()
-        vx, vy = decision.velocity.tolist()
         status = FeedbackPushStatus(
             mode=decision.status,
             reason=decision.reason,
@@ -245,7 +249,8 @@ class FeedbackPushController(AbstractStateSystem[FeedbackPushState]):
             progress=decision.progress,
             decisions=now.status.decisions + 1,
         )
-        return replace(now, status=status, velocity=(vx, vy), decide_at=time + self._options.period)
+        velocity = tuple(decision.velocity.tolist())
+        return replace(now, status=status, velocity=velocity, decide_at=time + self._options.period)
 
     def _take_pose(
         self, context: Context, now: FeedbackPushState, follower: PushFollower

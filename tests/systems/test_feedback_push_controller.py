@@ -6,6 +6,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource, Integrator
 
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.geometry.se2 import transform, wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
@@ -219,3 +220,27 @@ def test_takes_the_learned_model_from_the_port():
     assert state.learned.push_names == learned.push_names
     loads = learned.params.friction * learned.params.mass * learned.physics.gravity
     assert state.follower.model.body.k == pytest.approx(loads)
+
+
+def test_a_plate_is_steered_with_its_angle():
+    plate = PusherShape.plate(0.04, 0.016, 0.003)
+    finger = FeedbackFinger(plate.radius, shape=plate, turning_speed=1.2)
+    controller = FeedbackPushController(OBJ, finger, params=TRUTH, options=OPTIONS)
+    simulator = Simulator(controller)
+    context = simulator.get_mutable_context()
+    values = {
+        "object_pose": np.zeros(3),
+        "pusher_state": np.array([-0.15, 0.0, 0.02, 0.0, 0.0, 0.0]),
+        "pusher_yaw": np.array([1.0]),
+        "goal_pose": np.array(GOAL),
+    }
+    for port, value in values.items():
+        controller.GetInputPort(port).FixValue(context, value)
+    simulator.AdvanceTo(0.3)
+    status = controller.GetOutputPort("status").Eval(context)
+    velocity = controller.GetOutputPort("tip_velocity").Eval(context)
+    assert status.mode == FollowStatus.PUSHING
+    assert velocity.shape == (3,)
+    # it goes to the object, and turns to face it
+    assert np.linalg.norm(velocity[:2]) > 0.05
+    assert 0.0 < abs(velocity[2]) <= 1.2 + 1e-9
