@@ -211,6 +211,9 @@ def prepare(obj: GridObject, learned: Identification, pose: Array, rules: Follow
     if refused is not None:
         return Prepared(refused, FOLLOW_REASONS[refused], path)
     places = find_places(obj, pose, path, rules)
+    if len(places):
+        # A first decision compiles the search, which must not happen while the finger is down.
+        decide(follower, [(0.0, *places[0].tolist())], [SeenPose(0.0, pose)])
     return Prepared(FollowStatus.PUSHING, "", path, follower, places)
 
 
