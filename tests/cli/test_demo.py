@@ -215,7 +215,7 @@ def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
         ),
         (
             ["--robot", "panda", "--pusher", "gripper"],
-            ["pusher is gripper", "identify, push, slide, separate and rearrange"],
+            ["pusher is gripper", "identify, push, slide, follow, line, separate and rearrange"],
         ),
         (["--pusher", "gripper"], ["--pusher gripper: expected --robot NAME beside it"]),
     ],

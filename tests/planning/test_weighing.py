@@ -425,6 +425,21 @@ def _calc_lever_arm(planned):
     return EDGE.calc_beyond(np.array(planned.target.place))
 
 
+def test_a_long_object_is_pressed_near_the_edge_as_long_as_no_other_press_is_safe():
+    """So little of it may hang over that no press is 20 mm from the edge; it was pressed before."""
+    wrench = GridObject.from_yaml(find_shipped_object("combination_wrench"))
+    unknown = make_model(wrench, np.diag([0.28**2, 0.02**2, 0.0012**2, 0.28**2]))
+    chosen = choose_press(unknown)
+    assert chosen is not None
+    assert chosen.planner.is_short
+    assert all(one.gain > chosen.planner.weighing.min_gain for one in chosen.placements)
+    arms = [
+        one.planned.target.calc_lever_arm(np.array(one.planned.target.place))
+        for one in chosen.placements
+    ]
+    assert max(arms) < PressRules().min_arm
+
+
 @pytest.mark.slow
 def test_presses_that_tell_little_are_made_where_no_other_is_left():
     """As long as mass and center are not even roughly known."""

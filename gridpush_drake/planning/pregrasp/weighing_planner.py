@@ -264,12 +264,11 @@ class TiltTestPlanner(PreGraspPlanner):
         # The whole finger is to press on the object. Where no such press is left, a part that is
         # too narrow for it is pressed.
         tried += [(planner._allow_narrow(), is_robust) for planner, is_robust in tried]
-        # Before the first press, the center of mass may be almost anywhere, and so little may hang
-        # over that only a press near the edge is left. It tells less than others, but enough for
-        # more to hang over at the next one.
-        if not belief.presses:
-            nearest = self._allow_narrow()._allow_short()
-            tried += [(nearest, True), (nearest, False), (nearest._suppose_lighter(belief), False)]
+        # As long as the center of mass may be almost anywhere, so little may hang over that only a
+        # press near the edge is left. It tells less than others, but enough for more to hang over
+        # at the next one.
+        nearest = self._allow_narrow()._allow_short()
+        tried += [(nearest, True), (nearest, False), (nearest._suppose_lighter(belief), False)]
         # Where that leads to nothing, several presses that each tell little are better than none.
         asked = self.weighing.min_gain
         known = (

@@ -72,7 +72,7 @@ class Station(Diagram):
     - ``press_command``: vector of 11, a press at the table's edge, see `PressCommand`; it need not
       be connected. The station has this port, ``press.status`` and ``weighing.log`` only if nothing
       is told of the object (`PushScenario.unknown_inertia`).
-    - ``steer_command``: vector of 5, a finger that is steered, see `SteerCommand`. The station has
+    - ``steer_command``: vector of 7, a finger that is steered, see `SteerCommand`. The station has
       this port and ``steer.status`` only if it is made with `steer_speed`.
     - ``executor.status``: abstract `PushStatus`, how the executor of pushes stands.
     - ``executor.tip_pose``: abstract `RigidTransform`, desired X_WP of the tip, whether in a push,
