@@ -241,7 +241,7 @@ def test_the_finger_stops_where_a_decision_takes_too_long_and_makes_up_for_its_t
     speeds = []
     for _ in range(200):
         run.go(0.02)
-        speeds.append(float(np.hypot(*run.command.velocity)))
+        speeds.append(float(np.hypot(*run.command.velocity[:2])))
     moving = np.array(speeds) > 0
     # each decision holds for two periods at most, and the rest of its time the finger waits
     edges = np.flatnonzero(np.diff(moving.astype(int)))
