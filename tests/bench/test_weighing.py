@@ -241,11 +241,13 @@ def test_the_bench_presses_where_the_robot_s_planner_says(monkeypatch):
     once = replace(planner.weighing, max_presses=1)
     monkeypatch.setattr(TiltTestPlanner, "weighing", once)
     _, course = weigh_at_edge(made, replace(found, push_names=("push",) * 3), PushLog(()), 3)
-    assert course.presses == len(pressed) == 1
-    assert pressed[0] is asked[-1].here.target
-    assert course.slides == len(asked) - 1 >= 1
+    # A press that shifts the object, as engines have it more or less, is made again.
+    chosen = [one.here for one in asked if not one.placements]
+    assert course.presses == len(pressed) == len(chosen) >= 1
+    assert all(target is one.target for target, one in zip(pressed, chosen, strict=True))
+    assert course.slides == len(asked) - len(pressed) >= 1
     # The robot decides by the same plan.
-    pose = asked[-1].here.pose
+    pose = chosen[0].pose
     decision = planner.decide(pose, model, pokes=3)
     assert decision.action == "weigh"
     assert decision.press is asked[-1].here.target
