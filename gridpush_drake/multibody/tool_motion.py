@@ -198,6 +198,6 @@ def calc_tool_pose(X_WP: RigidTransform) -> ToolPose:
 
 
 def make_transform(pose: ArrayLike) -> RigidTransform:
-    """Makes X_WP of a tool's pose (4,): x, y, z, m, and yaw, rad."""
-    *p_WP, yaw = np.asarray(pose, float).tolist()
-    return RigidTransform(calc_tool_rotation(yaw), p_WP)
+    """Makes X_WP of a tool's pose (4,): x, y, z, m, and yaw, rad; of (3,) the yaw is 0."""
+    x, y, z, *yaw = np.asarray(pose, float).tolist()
+    return RigidTransform(calc_tool_rotation(*yaw or (0.0,)), [x, y, z])

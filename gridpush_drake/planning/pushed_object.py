@@ -30,6 +30,9 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.push_constraints import PushConstraints, make_body
 
+SearchModel = PushedModel | ShapedModel
+"""A model of the object as the compiled search takes it, under a disc or another shape."""
+
 ROLLOUT_STEP = 0.0025
 """Length of the finger's path in a step of a rollout, m."""
 
@@ -105,7 +108,7 @@ def make_model(
     *,
     shape: PusherShape | None = None,
     approximate: bool = True,
-) -> PushedModel | ShapedModel:
+) -> SearchModel:
     """Makes a model as the compiled search takes it.
 
     Args:

@@ -37,8 +37,6 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     STATE_SIZE,
     THETA,
     TIP_X,
-    PushedModel,
-    ShapedModel,
     X,
     follow_tip,
 )
@@ -53,7 +51,7 @@ from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.push_constraints import make_body
-from gridpush_drake.planning.pushed_object import make_model
+from gridpush_drake.planning.pushed_object import SearchModel, make_model
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush
 
@@ -429,7 +427,7 @@ class SimulatedWorld(TrackedWorld):
         self.bodies = bodies
         self.surface = surface
         # Of a finger that is steered: its models by their radius, and what the last piece left.
-        self._models: dict[float | PusherShape, PushedModel | ShapedModel] = {}
+        self._models: dict[float | PusherShape, SearchModel] = {}
         self._state = np.zeros(STATE_SIZE)
         self._supports = [
             None if surface is None else CenterOfMassSupport(obj, center, surface)

@@ -50,6 +50,7 @@ from gridpush_drake.systems.base.messages import (
 )
 from gridpush_drake.systems.base.object_controller import AbstractStateSystem
 from gridpush_drake.systems.base.worker import Request, WorkerResult, answer_now, make_worker
+from gridpush_drake.systems.execution.push_executor import find_tool_yaw
 
 SAMPLE_PERIOD = 0.01
 """Time between two looks at the ports, s."""
@@ -355,14 +356,9 @@ class FollowController(AbstractStateSystem[FollowControlState]):
         # no number is used twice, whatever was commanded and withdrawn before
         number = 1 + max(now.command.command_id, now.place, 100 * now.status.plans)
         now = now.turn_to(FollowMode.GOING, "The finger goes to the object's side.")
-        turned = self._turn_tool(*yaw) if yaw else 0.0
-        return replace(now, command=SteerCommand(command_id=number, x=x, y=y, yaw=turned))
-
-    def _turn_tool(self, yaw: float) -> float:
-        """Returns the smallest angle, rad, at which the finger looks as it does at a yaw, rad."""
         shape = self.rules.finger.shape
-        assert shape is not None
-        return float((yaw + shape.period / 2) % shape.period - shape.period / 2)
+        turned = 0.0 if shape is None else find_tool_yaw(yaw[0], shape.period)
+        return replace(now, command=SteerCommand(command_id=number, x=x, y=y, yaw=turned))
 
     def _read_tip(self, context: Context) -> tuple[float, ...]:
         """Reads where the finger is: (x, y), and the angle of one that is no disc, m and rad."""

@@ -117,13 +117,15 @@ def make_push_trajectory(
     return tuple(segments)
 
 
-def find_tool_yaw(direction: float) -> float:
-    """Finds the tool's yaw, rad, with which a shape pushes in a direction, rad.
+def find_tool_yaw(direction: float, period: float = np.pi) -> float:
+    """Finds the tool's smallest yaw, rad, with which a shape pushes in a direction, rad.
 
-    The shape looks the same after half a turn, so that the yaw is in [-pi / 2, pi / 2).
+    Args:
+        direction: the direction, rad.
+        period: angle after which the shape looks the same, rad; half a turn of a gripper.
     """
-    quarter = np.pi / 2
-    return float((direction + quarter) % np.pi - quarter)
+    half = period / 2
+    return float((direction + half) % period - half)
 
 
 def make_lookout_trajectory(
@@ -334,8 +336,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
 
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
-        x, y, z, *yaw = state.position(context.get_time()).tolist()
-        output.set_value(make_transform((x, y, z, *(yaw or (0.0,)))))
+        output.set_value(make_transform(state.position(context.get_time())))
 
     def _go_on(self, context: Context, now: ExecutorState) -> ExecutorState:
         """Goes on to the next segment; or breaks off, takes up or refuses a command."""

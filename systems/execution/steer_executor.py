@@ -171,15 +171,14 @@ class SteerExecutor(AbstractStateSystem[SteerState]):
         now = self._get_state(context)
         time = context.get_time()
         if now.segments:
-            x, y, z, *yaw = now.segments[0].position(time - now.segment_start).tolist()
+            pose = now.segments[0].position(time - now.segment_start)
         elif now.status.phase == SteerPhase.STEERING:
             place = np.array(now.place) + (time - now.time) * np.array(now.velocity)
-            x, y, *yaw = place.tolist()
-            z = self.style.push_height
+            pose = np.insert(place, 2, self.style.push_height)
         else:
             output.set_value(self._passed.Eval(context))
             return
-        output.set_value(make_transform((x, y, z, *(yaw or (0.0,)))))
+        output.set_value(make_transform(pose))
 
     def _go_on(self, context: Context, now: SteerState) -> SteerState:
         """Goes on with a way or with steering, or takes up or refuses a command."""

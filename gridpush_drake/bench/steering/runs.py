@@ -225,7 +225,7 @@ def run_job(job: FeedbackJob) -> Followed:
     obj = case.obj
     if job.kind == PATH_RUN:
         path, pose = make_path(obj)
-        world = case.make_finger(pose, place_finger(obj, pose, np.pi, finger), finger.shape)
+        world = case.make_finger(pose, place_finger(obj, pose, np.pi, finger), finger)
         follower = make_follower(job, case, path)
         run, decision = time_run(job, case, follower, world)
         path_progress = PathProgress(obj, path)
@@ -260,7 +260,7 @@ def run_job(job: FeedbackJob) -> Followed:
         displacement = DISTURBANCE_DISTANCE * make_direction(rng.uniform(-np.pi, np.pi))
         pose += [*displacement, DISTURBANCE_TURN * rng.choice([-1.0, 1.0])]
         tip = place_finger(obj, pose, heading, finger)
-    world = case.make_finger(pose, tip, finger.shape)
+    world = case.make_finger(pose, tip, finger)
     run, decision = time_run(job, case, make_follower(job, case, goal), world)
     reached = run.status == FollowStatus.REACHED
     return make_result(

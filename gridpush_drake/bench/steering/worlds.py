@@ -10,7 +10,6 @@ from shapely import Point
 from gridpush_drake.bench.truth.mujoco_world import MujocoWorld, TruthBody
 from gridpush_drake.bench.truth.sets import FOUNDATION_KIND, THREE_FEET, draw_masses, make_body
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
@@ -62,11 +61,11 @@ class FingerMaker(Protocol):
     """Makes a world with the hidden body, and a finger that is steered there."""
 
     def __call__(
-        self, pose: ArrayLike, tip: ArrayLike, shape: PusherShape | None = None
+        self, pose: ArrayLike, tip: ArrayLike, finger: FeedbackFinger = STEERED_FINGER
     ) -> SteeredFinger:
         """Puts the object down at a pose (3,), and the finger at a place (2,).
 
-        A finger of another shape than STEERED_FINGER's is put down at (3,), with its angle, rad.
+        A finger that is no disc is put down at (3,), with its angle, rad.
         """
         ...
 
@@ -144,11 +143,10 @@ def put_body(
         )
 
         def make_finger(
-            pose: ArrayLike, tip: ArrayLike, shape: PusherShape | None = None
+            pose: ArrayLike, tip: ArrayLike, finger: FeedbackFinger = STEERED_FINGER
         ) -> SteeredFinger:
             world = SimulatedWorld(Model(obj, truth), pose)
-            radius = STEERED_FINGER.radius if shape is None else shape.radius
-            return SteeredFinger(world, tip, radius, POSE_SENSOR, seed, shape=shape)
+            return SteeredFinger(world, tip, finger.radius, POSE_SENSOR, seed, shape=finger.shape)
 
     else:
         body = make_body(world, obj, truth, rng)
@@ -161,11 +159,10 @@ def put_body(
         )
 
         def make_finger(
-            pose: ArrayLike, tip: ArrayLike, shape: PusherShape | None = None
+            pose: ArrayLike, tip: ArrayLike, finger: FeedbackFinger = STEERED_FINGER
         ) -> SteeredFinger:
-            radius = STEERED_FINGER.radius if shape is None else shape.radius
-            world = MujocoWorld(body, shape or radius, pose=pose)
-            return SteeredFinger(world, tip, radius, POSE_SENSOR, seed, shape=shape)
+            world = MujocoWorld(body, finger.shape or finger.radius, pose=pose)
+            return SteeredFinger(world, tip, finger.radius, POSE_SENSOR, seed, shape=finger.shape)
 
     return pokes_world, make_finger
 

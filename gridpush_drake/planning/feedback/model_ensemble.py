@@ -25,8 +25,6 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     STATE_SIZE,
     THETA,
     TIP_X,
-    PushedModel,
-    ShapedModel,
     X,
     follow_tip,
 )
@@ -35,7 +33,7 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pushed_object import FeedbackFinger, make_model
+from gridpush_drake.planning.pushed_object import FeedbackFinger, SearchModel, make_model
 
 LEAST_MASS = 1e-4
 """Least mass of a cell after a correction, as a fraction of the mean cell's."""
@@ -204,7 +202,7 @@ class ModelEnsemble:
             )
             self.models.append(self._make_model(params))
 
-    def _make_model(self, params: CellParameters) -> PushedModel | ShapedModel:
+    def _make_model(self, params: CellParameters) -> SearchModel:
         """Makes a model of parameters, as the compiled search takes it."""
         finger = self._finger
         return make_model(self._obj, params, finger.radius, self._physics, shape=finger.shape)

@@ -23,8 +23,6 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     THETA,
     TIP_X,
     FreeSpace,
-    PushedModel,
-    ShapedModel,
     X,
     follow_tip,
 )
@@ -39,7 +37,7 @@ from gridpush_drake.planning.feedback.push_search import check_moves
 from gridpush_drake.planning.feedback.ways import make_outline_path
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.planning.pushed_object import FeedbackFinger, make_model, make_room
+from gridpush_drake.planning.pushed_object import FeedbackFinger, SearchModel, make_model, make_room
 
 MOVE_LENGTH = 0.03
 """Way of the finger in a move, m."""
@@ -168,7 +166,7 @@ def _refuse(status: FollowStatus, expanded: int = 0) -> PathPlan:
     return PathPlan(None, status, FOLLOW_REASONS[status], expanded)
 
 
-def _try_moves(obj: GridObject, model: PushedModel | ShapedModel, finger: FeedbackFinger) -> _Moves:
+def _try_moves(obj: GridObject, model: SearchModel, finger: FeedbackFinger) -> _Moves:
     """Simulates all short pushes, and keeps those that move the object."""
     ways = make_outline_path(obj.outline, finger.radius, finger.shape)
     begins = ways.touch if finger.shape is None else ways.near

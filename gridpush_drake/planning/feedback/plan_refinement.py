@@ -13,12 +13,11 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     STATE_SIZE,
     THETA,
     FreeSpace,
-    PushedModel,
-    ShapedModel,
     X,
 )
 from gridpush_drake.geometry.se2 import Array, transform, wrap_angle
 from gridpush_drake.planning.feedback.push_search import PushMoves, TrackingCost, roll_plans
+from gridpush_drake.planning.pushed_object import SearchModel
 
 KNOT_COUNT = 4
 """Places of a plan on a path that are moved by the refinement, with straight lines between."""
@@ -37,7 +36,7 @@ STEP_SIZES = np.array([1.0, 0.5, 0.2, 0.05])
 
 
 def refine_plan(
-    models: Sequence[PushedModel | ShapedModel],
+    models: Sequence[SearchModel],
     cost_terms: TrackingCost,
     room: FreeSpace,
     state: Array,
@@ -103,7 +102,7 @@ def refine_plan(
 
 
 def _roll(
-    model: PushedModel | ShapedModel,
+    model: SearchModel,
     cost_terms: TrackingCost,
     room: FreeSpace,
     state: Array,

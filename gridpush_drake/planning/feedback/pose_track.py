@@ -32,13 +32,12 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     STATE_SIZE,
     THETA,
     TIP_X,
-    PushedModel,
-    ShapedModel,
     X,
     follow_tip,
 )
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.planning.pushed_object import SearchModel
 
 MEMORY_TIME = 2.0
 """Time for which the finger's path is remembered, s."""
@@ -185,7 +184,7 @@ class PoseTrack:
             self._times.popleft()
             self._tips.popleft()
 
-    def add_pose(self, model: PushedModel | ShapedModel, time: float, pose: ArrayLike) -> bool:
+    def add_pose(self, model: SearchModel, time: float, pose: ArrayLike) -> bool:
         """Takes in a pose (3,), m and rad, that was seen at a time, s.
 
         Returns:
@@ -227,9 +226,7 @@ class PoseTrack:
         self._pending = self._begin(time, seen)
         return False
 
-    def _carry(
-        self, model: PushedModel | ShapedModel, belief: FilteredState, time: float
-    ) -> FilteredState:
+    def _carry(self, model: SearchModel, belief: FilteredState, time: float) -> FilteredState:
         """Carries a belief on to a later time by the model, less sure than before."""
         state = belief.state.copy()
         self._follow(model, state, belief.time, time)
@@ -288,7 +285,7 @@ class PoseTrack:
         between = [tip for t, tip in zip(self._times, self._tips, strict=True) if begin < t < end]
         return np.array([*between, self._find_tip(end)])
 
-    def predict(self, model: PushedModel | ShapedModel) -> Array:
+    def predict(self, model: SearchModel) -> Array:
         """The state (STATE_SIZE,) now, which is when the finger's last place was told."""
         state = self._believed.state.copy()
         self._follow(model, state, self.seen_at, self._times[-1])
@@ -302,9 +299,7 @@ class PoseTrack:
         state[TIP_X : TIP_X + len(tip)] = tip
         return FilteredState(time, state, self._noise)
 
-    def _follow(
-        self, model: PushedModel | ShapedModel, state: Array, begin: float, end: float
-    ) -> None:
+    def _follow(self, model: SearchModel, state: Array, begin: float, end: float) -> None:
         """Carries a state along the finger's path between two times."""
         follow_tip(model, state, self.find_tips(begin, end))
 

@@ -28,8 +28,6 @@ from gridpush_drake.dynamics.kernels.steering.finger_push import (
     THETA,
     TIP_X,
     FreeSpace,
-    PushedModel,
-    ShapedModel,
     X,
     follow_tip,
 )
@@ -57,6 +55,7 @@ from gridpush_drake.planning.feedback.ways import make_outline_path
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.pushed_object import (
     FeedbackFinger,
+    SearchModel,
     covers_places,
     make_room,
 )
@@ -250,7 +249,7 @@ class PushFollower:
         return state[TIP_X : TIP_X + self._size]
 
     @property
-    def model(self) -> PushedModel | ShapedModel:
+    def model(self) -> SearchModel:
         """The estimate, as the compiled search takes it."""
         return self._ensemble.models[0]
 

@@ -18,7 +18,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
-from gridpush_drake.dynamics.pusher import PusherShape
+from gridpush_drake.dynamics.pusher import SYMMETRY_TOLERANCE, PusherShape
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.station.robot.robot import GripperTip, Robot
@@ -31,9 +31,6 @@ HULL_DETAIL = 1e-5
 
 HALF_TURN = 180.0
 """Degrees of half a turn."""
-
-SYMMETRY_TOLERANCE = 0.01
-"""Fraction of its area by which the hull may change in half a turn."""
 
 DISCS_ACROSS = 6.0
 """How many times as wide as the radius of its discs a finger is at least."""

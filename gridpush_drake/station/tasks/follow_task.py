@@ -307,14 +307,13 @@ def make_follow_rules(station: Station, path: PosePath | None) -> FollowRules:
     """
     scenario = station.scenario
     follow = scenario.section(FollowConfig)
-    shape = station.robot.shape
     return FollowRules(
         goal=np.array(scenario.goal.pose),
         finger=FeedbackFinger(
-            radius=station.robot.finger.tip_radius if shape is None else shape.radius,
+            radius=station.robot.pusher.choose_radius(station.obj),
             speed=follow.finger_speed,
             walking_speed=follow.walking_speed,
-            shape=shape,
+            shape=station.robot.shape,
             turning_speed=STEER_TURNING_SPEED,
             most_yaw=MOST_STEER_YAW,
         ),
