@@ -3,6 +3,8 @@
 Kernels are the functions in which pushes are simulated. Where they have to be compiled and there is
 a second core, a second process compiles half of them. A command that has something else to do
 first, such as the demo, which makes its station, does it while other processes compile all of them.
+Those of several contacts and of steering are compiled where they are first needed, or beforehand by
+`gridpush warm-up`.
 """
 
 import os
@@ -13,34 +15,51 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import numpy as np
+
 from gridpush_drake.dynamics.kernels.compiled import (
     KERNELS_FOLDER,
     Others,
     filled_by,
     find_cache_folder,
 )
+from gridpush_drake.dynamics.kernels.scene.rollout import rollout_scene
+from gridpush_drake.dynamics.pusher import PusherShape
 from gridpush_drake.dynamics.warm_up import (
-    compile_columns,
+    DISC_RADIUS,
+    DISC_SPEED,
+    SQUARE_SIDE,
+    compile_batches,
     compile_rollouts,
+    compile_scenes,
     is_compiled,
     make_square,
 )
 from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.contact import contact_kernels, optimize_contact
+from gridpush_drake.planning.feedback import FollowOptions, PushFollower, plan_pose_path
+from gridpush_drake.planning.feedback.push_search import search_push
 from gridpush_drake.planning.plausible_masses import PlausibleMassSet
 from gridpush_drake.planning.pregrasp import stability
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
+from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.planning.support_surface import SupportSurface
 
 SECOND_PROCESS_CODE = "from gridpush_drake.cli.shell.kernels import compile_apart; compile_apart()"
 """Python code that the second process runs."""
 
+SCENES_CODE = "from gridpush_drake.dynamics.warm_up import compile_scenes; compile_scenes()"
+"""Python code of the process that compiles the kernels of several contacts meanwhile."""
+
 THIRD_PROCESS_CODE = "from gridpush_drake.cli.shell.kernels import compile_rest; compile_rest()"
 """Python code that a third process runs, while this one does something else."""
 
+RARE_ROOMS = ("scene", "steering")
+"""Folders of the kernels that only some commands need."""
+
 KERNEL_SOURCES = frozenset(
     [
-        *(path for path in KERNELS_FOLDER.rglob("*.py") if path.parent.name != "scene"),
+        *(path for path in KERNELS_FOLDER.rglob("*.py") if path.parent.name not in RARE_ROOMS),
         *(Path(str(each.__file__)) for each in (contact_kernels, stability)),
     ]
 )
@@ -61,12 +80,23 @@ it has not compiled is compiled when it is first needed."""
 def compile_all() -> None:
     """Loads the kernels that commands need, and compiles those that are not in the cache."""
     with _working_apart(SECOND_PROCESS_CODE, needed=not is_compiled()) as processes:
-        compile_rollouts()
-        with suppress(subprocess.TimeoutExpired):
-            for process in processes:
-                process.wait(MAX_COMPILE_WAIT)
-    compile_contact_search()
-    compile_margins()
+        compile_rest()
+        _wait_for(processes)
+    compile_apart()
+
+
+def is_rare_compiled() -> bool:
+    """Whether what `compile_rare` compiles is in the cache, as it seems by its files' names."""
+    return is_compiled(rollout_scene, search_push)
+
+
+def compile_rare() -> None:
+    """Loads or compiles what only some commands need: of several contacts, and of steering."""
+    with _working_apart(SCENES_CODE, needed=not is_rare_compiled()) as processes:
+        compile_steering()
+        _wait_for(processes)
+    compile_scenes()
+    compile_steering(PusherShape.plate(SQUARE_SIDE, 2 * DISC_RADIUS, DISC_RADIUS / 2))
 
 
 @contextmanager
@@ -91,8 +121,8 @@ def compiling_meanwhile() -> Iterator[None]:
 
 
 def compile_apart() -> None:
-    """Compiles the second process's part: what a rollout needs last, and what it does not need."""
-    compile_columns()
+    """Compiles the second process's part: many pushes at once, and what a grasp is planned with."""
+    compile_batches()
     compile_margins()
 
 
@@ -114,6 +144,33 @@ def compile_margins() -> None:
     obj = make_square()
     masses = PlausibleMassSet.of_masses(Model(obj))
     calc_stability_margin(masses, [0.0, 0.0, 0.0], SupportSurface.round([0.0, 0.0], 1.0))
+
+
+def compile_steering(shape: PusherShape | None = None) -> None:
+    """Loads or compiles the kernels of steering, by deciding on the way to a goal, and on a path.
+
+    Args:
+        shape: of a finger that is no disc.
+    """
+    model = Model(make_square())
+    finger = FeedbackFinger(radius=DISC_RADIUS if shape is None else shape.radius, shape=shape)
+    goal = np.array([2 * SQUARE_SIDE, 0.0, 0.0])
+    path = plan_pose_path(model, np.zeros(3), goal, finger, speed=DISC_SPEED).path
+    options = FollowOptions(strokes=1, changes=1, refinements=1, draws=0)
+    tip = np.array([-2 * SQUARE_SIDE, 0.0, 0.0])[: finger.coordinates]
+    assert path is not None
+    for aim in (goal, path):
+        follower = PushFollower(model.obj, model.params, aim, finger, options=options)
+        follower.add_tip(0.0, tip)
+        follower.add_pose(0.0, np.zeros(3))
+        follower.decide(0.0, tip)
+
+
+def _wait_for(processes: Sequence[subprocess.Popen[bytes]]) -> None:
+    """Waits until other processes are done, but not longer than `MAX_COMPILE_WAIT` each."""
+    with suppress(subprocess.TimeoutExpired):
+        for process in processes:
+            process.wait(MAX_COMPILE_WAIT)
 
 
 @contextmanager
