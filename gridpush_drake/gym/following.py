@@ -68,9 +68,6 @@ MAX_BEND = 0.9
 PATH_SPEED = 0.05
 """Speed of a path, m/s: a player may be faster or slower."""
 
-START_GAP = 0.012
-"""Gap between finger and object at the beginning, m."""
-
 END_TOLERANCE = 0.005
 """Distance of the cells' centroid from the path's end at which it is reached, m."""
 
@@ -275,7 +272,7 @@ class Follow(Game[FollowEpisode]):
         pose = np.array(path.poses[0])
         finger = SteeredFinger(
             SimulatedWorld(Model(obj, hidden), pose),
-            tip=place_behind(obj, path),
+            tip=STEERED_FINGER.place_beside(obj, pose, pose[2] + find_side(obj) + np.pi),
             radius=STEERED_FINGER.radius,
             pose_sensor=self.options.make_pose_sensor(),
             seed=noise_seed,
@@ -353,14 +350,3 @@ def draw_path(obj: GridObject, rng: np.random.Generator) -> PosePath:
     ways = np.cumsum(step * make_direction(heading[:-1]), axis=0)
     points = np.vstack([np.zeros(2), ways])
     return PosePath.through(obj, points, PATH_SPEED, -find_side(obj))
-
-
-def place_behind(obj: GridObject, path: PosePath) -> Array:
-    """Finds a place (2,) of the finger behind the object as its path begins, W, m."""
-    pose = path.poses[0]
-    back = -make_direction(np.array(pose[2] + find_side(obj)))
-    corners = transform(pose, shapely.get_coordinates(obj.outline))
-    center = transform(pose, obj.p_BC.mean(axis=0)[None])[0]
-    extent = float(((corners - center) @ back).max())
-    reach = extent + STEERED_FINGER.radius + START_GAP
-    return np.asarray(center + reach * back)

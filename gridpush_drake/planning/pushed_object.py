@@ -24,7 +24,7 @@ from gridpush_drake.dynamics.scene.kernel_call import (
     make_tool,
 )
 from gridpush_drake.errors import PlanningError, require_positive
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, make_direction, transform, wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -47,6 +47,10 @@ POINT_SPACING = 0.004
 
 FIELD_ROOM = 0.3
 """By how much a field reaches beyond obstacles and start where there is no table, m."""
+
+
+APPROACH_GAP = 0.012
+"""Gap between finger and object where the finger comes down, m."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,21 @@ class FeedbackFinger:
     def coordinates(self) -> int:
         """Number of coordinates of its place: x and y, and the angle of a shape."""
         return 2 if self.shape is None else 3
+
+    def place_beside(self, obj: GridObject, pose: Array, direction: float) -> Array:
+        """Finds its place (D,) beside an object, W, m; one that is no disc faces it, rad.
+
+        Args:
+            obj: the object.
+            pose: (3,) where it lies, X_WB, m and rad.
+            direction: from the cells' centroid to the finger, W, rad.
+        """
+        away = make_direction(np.array(direction))
+        corners = transform(pose, shapely.get_coordinates(obj.outline))
+        center = transform(pose, obj.p_BC.mean(axis=0)[None])[0]
+        distance = float(((corners - center) @ away).max()) + self.reach + APPROACH_GAP
+        place = np.append(center + distance * away, wrap_angle(direction + np.pi))
+        return place[: self.coordinates]
 
 
 def make_model(

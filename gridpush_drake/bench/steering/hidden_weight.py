@@ -27,7 +27,6 @@ from gridpush_drake.bench.steering.runs import (
     Followed,
     PathLearner,
     TimedFollower,
-    place_finger,
 )
 from gridpush_drake.bench.steering.worlds import POSE_SENSOR, STEERED_FINGER, put_body
 from gridpush_drake.bench.truth.sets import (
@@ -191,7 +190,9 @@ def run_session(job: SessionJob) -> list[Followed]:
     results = []
     for episode in range(job.episodes):
         pose = np.array([*START_PLACE, rng.uniform(-np.pi, np.pi)])
-        finger = make_finger(pose, place_finger(obj, pose, rng.uniform(-np.pi, np.pi)))
+        finger = make_finger(
+            pose, STEERED_FINGER.place_beside(obj, pose, rng.uniform(-np.pi, np.pi))
+        )
         follower = _make_follower(obj, found, goal, job.seed + episode)
         log = FollowLog(obj, STEERED_FINGER.radius)
         run = follow(

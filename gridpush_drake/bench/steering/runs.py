@@ -109,9 +109,6 @@ DISTURBANCE_TURN = np.radians(20)
 MOST_TIME = 60.0
 """Time after which a run is given up, s."""
 
-START_GAP = 0.012
-"""Distance of the finger from the object when a run begins, m."""
-
 PRIMITIVE_TOLERANCE = 0.002
 """Mean cell error at which the goal counts as reached stroke by stroke, m."""
 
@@ -203,20 +200,6 @@ def make_path(obj: GridObject) -> tuple[PosePath, Array]:
     return PosePath.through(obj, points, PATH_SPEED, -side), pose
 
 
-def place_finger(
-    obj: GridObject, pose: Array, direction: float, finger: FeedbackFinger = STEERED_FINGER
-) -> Array:
-    """Finds a place (2,) of a finger beside the object, W, m, in a direction from it, rad.
-
-    One that is no disc faces the object there, at (3,).
-    """
-    away = make_direction(np.array(direction))
-    corners = transform(pose, shapely.get_coordinates(obj.outline))
-    center = transform(pose, obj.p_BC.mean(axis=0)[None])[0]
-    reach = float(((corners - center) @ away).max()) + finger.reach + START_GAP
-    return np.append(center + reach * away, direction + np.pi)[: finger.coordinates]
-
-
 def run_job(job: FeedbackJob) -> Followed:
     """Does one run."""
     finger = job.finger
@@ -225,7 +208,7 @@ def run_job(job: FeedbackJob) -> Followed:
     obj = case.obj
     if job.kind == PATH_RUN:
         path, pose = make_path(obj)
-        world = case.make_finger(pose, place_finger(obj, pose, np.pi, finger), finger)
+        world = case.make_finger(pose, finger.place_beside(obj, pose, np.pi))
         follower = make_follower(job, case, path)
         run, decision = time_run(job, case, follower, world)
         path_progress = PathProgress(obj, path)
@@ -251,7 +234,7 @@ def run_job(job: FeedbackJob) -> Followed:
     heading = rng.uniform(-np.pi, np.pi)
     shift = GOAL_DISTANCE * make_direction(np.array(heading))
     goal = pose + [*shift, rng.uniform(-GOAL_TURN, GOAL_TURN)]
-    tip = place_finger(obj, pose, heading + rng.uniform(-np.pi, np.pi), finger)
+    tip = finger.place_beside(obj, pose, heading + rng.uniform(-np.pi, np.pi))
     if job.model == PRIMITIVE_PLANNER:
         return run_strokes(job, case, pose, goal, tip)
     if job.kind == DISTURBED_RUN:
@@ -259,7 +242,7 @@ def run_job(job: FeedbackJob) -> Followed:
         pose = goal.copy()
         displacement = DISTURBANCE_DISTANCE * make_direction(rng.uniform(-np.pi, np.pi))
         pose += [*displacement, DISTURBANCE_TURN * rng.choice([-1.0, 1.0])]
-        tip = place_finger(obj, pose, heading, finger)
+        tip = finger.place_beside(obj, pose, heading)
     world = case.make_finger(pose, tip, finger)
     run, decision = time_run(job, case, make_follower(job, case, goal), world)
     reached = run.status == FollowStatus.REACHED

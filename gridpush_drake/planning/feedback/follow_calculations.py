@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from gridpush_drake.geometry.se2 import Array, make_direction, transform, wrap_angle
+from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -30,9 +30,6 @@ from gridpush_drake.planning.loop_run import Learner
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.pushed_object import FeedbackFinger
 from gridpush_drake.pushes.push_log import PushLog
-
-APPROACH_GAP = 0.012
-"""Gap between finger and object where the finger comes down, m."""
 
 APPROACH_DIRECTIONS = 36
 """Directions around the object in which a place for the finger is looked for."""
@@ -232,19 +229,10 @@ def find_places(obj: GridObject, pose: Array, path: PosePath, rules: FollowRules
     # directions in the order of how far they are from that
     turns = np.linspace(-np.pi, np.pi, APPROACH_DIRECTIONS, endpoint=False)
     turns = turns[np.argsort(np.abs(turns), kind="stable")]
-    outline = shapely.Polygon(transform(pose, shapely.get_coordinates(obj.outline)))
-    corners = shapely.get_coordinates(outline)
-    room = rules.constraints
-    radius = rules.finger.reach
-    size = rules.finger.coordinates
-    places = []
-    for turn in turns:
-        way = make_direction(np.array(behind + turn))
-        reach = float(((corners - center) @ way).max()) + radius + APPROACH_GAP
-        place = center + reach * way
-        if _allows_finger(room, place, radius):
-            places.append(np.append(place, wrap_angle(behind + turn + np.pi))[:size])
-    return np.array(places).reshape(-1, size)
+    finger = rules.finger
+    places = [finger.place_beside(obj, pose, behind + turn) for turn in turns]
+    free = [one for one in places if _allows_finger(rules.constraints, one[:2], finger.reach)]
+    return np.array(free).reshape(-1, finger.coordinates)
 
 
 def _allows_finger(rules: PushConstraints, place: Array, radius: float) -> bool:
