@@ -31,9 +31,9 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     PreGraspMode,
     PreGraspState,
 )
-from gridpush_drake.planning.pregrasp.weighing_planner import TiltTestPlanner
+from gridpush_drake.planning.robot_status import PressStatus
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.planning.weighing.press import PressOutcome, PressTarget
+from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.planning.world import FALLEN_TILT
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import MassTestLog, TiltTest
@@ -157,13 +157,16 @@ def tell_story(
             break
         if press is not None:
             learner.log = replace(learner.log, presses=(*learner.log.presses, press))
-        if made.state.outcome == PressOutcome.TOO_HEAVY and isinstance(planner, TiltTestPlanner):
-            planner = planner.suppose_heavier()
-            loop = PreGraspLoop(planner, lambda *_: None, options=ONE_OBSERVATION)
+        told = PressStatus(
+            command_id=state.press_id,
+            outcome=made.state.outcome,
+            reason="the benchmark's press ended",
+            weighed=press is not None,
+        )
         run = replace(
             run,
             identification=learner.weigh(run.identification),
-            state=state.turn_to(PreGraspMode.WAITING, "The object was weighed."),
+            state=loop.follow_press(state, told),
         )
     status = run.state.status
     true = world.truth

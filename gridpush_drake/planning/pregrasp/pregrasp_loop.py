@@ -311,7 +311,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             return self._follow_grasp(now, seen.gripper), False
         if now.status.mode == PreGraspMode.WEIGHING:
             now = replace(now, filter=now.filter.wait(seen.time, seen.pose))
-            return self._follow_press(now, seen.presser), False
+            return self.follow_press(now, seen.presser), False
         return super().observe(now, seen)
 
     def _wait(self, now: PreGraspState, seen: Observation) -> PreGraspState:
@@ -586,7 +586,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             margin=decision.margin,
         )
 
-    def _follow_press(self, now: PreGraspState, presser: PressStatus) -> PreGraspState:
+    def follow_press(self, now: PreGraspState, presser: PressStatus) -> PreGraspState:
         """The state while a press is under way, and after it."""
         if presser.command_id != now.press_id or presser.outcome is None or not presser.ready:
             return now
