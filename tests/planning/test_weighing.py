@@ -26,6 +26,8 @@ from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.weighing_planner import (
     TiltTestOptions,
     TiltTestPlanner,
+    _calc_rate,
+    _count_slides,
     list_edges,
 )
 from gridpush_drake.planning.robot_status import PressStatus, PressStep, PushStatus
@@ -431,7 +433,6 @@ def test_a_long_object_is_pressed_near_the_edge_as_long_as_no_other_press_is_saf
     unknown = make_model(wrench, np.diag([0.28**2, 0.02**2, 0.0012**2, 0.28**2]))
     chosen = choose_press(unknown)
     assert chosen is not None
-    assert chosen.planner.is_short
     assert all(one.gain > chosen.planner.weighing.min_gain for one in chosen.placements)
     arms = [
         one.planned.target.calc_lever_arm(np.array(one.planned.target.place))
@@ -741,8 +742,8 @@ def test_where_the_arm_cannot_press_nothing_is_planned():
     assert len(asked) > 1
 
 
-def test_slides_go_to_where_the_object_is_stable_before_other_places():
-    """A slide is cut short of a place at which the object may tip, and would be made in vain."""
+def test_a_place_where_the_object_may_tip_counts_half_and_a_slide_that_must_be_exact_less():
+    """A slide is cut short of a place at which the object may tip, and ends only nearly there."""
     obj = GridObject.from_yaml(find_shipped_object("claw_hammer")).forget()
     surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
     found = describe_prior(obj)
@@ -752,19 +753,15 @@ def test_slides_go_to_where_the_object_is_stable_before_other_places():
     model = replace(Belief.of_identification(found), absolute=belief)
     planner = TiltTestPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
     pose = np.array([0.0, 0.1, 1.96])
-    rests = planner._list_placements(pose, model, belief)
-    goals = [one.goal for one in planner._choose_placements(rests)]
-    assert len(goals) == 6
-    for goal in goals:
-        assert goal.margin == calc_stability_margin(model.masses, goal.pose, surface)
-        assert goal.margin >= planner.options.slide.margin
-    rates = [rest.rate for rest in rests if rest.stable]
-    assert rates == sorted(rates, reverse=True)
-    # Nearer ones, at which it may tip, come after all that are safe.
+    rests = planner._list_placements(pose, model, belief, room=0.002, trust=0.7)
     safe = [rest.goal.margin >= planner.options.slide.margin for rest in rests]
-    assert safe == sorted(safe, reverse=True)
-    nearest = min(rest.goal.travel for rest in rests[sum(safe) :])
-    assert nearest < max(goal.travel for goal in goals)
+    assert True in safe and False in safe
+    for rest, is_safe in zip(rests, safe, strict=True):
+        assert rest.goal.margin == calc_stability_margin(model.masses, rest.goal.pose, surface)
+        rate = _calc_rate(rest.gain, _count_slides(pose, rest.goal.pose))
+        assert rest.rate == pytest.approx(0.7 * rate * (1.0 if is_safe else 0.5))
+    rates = [rest.rate for rest in rests]
+    assert rates == sorted(rates, reverse=True)
 
 
 def test_a_press_at_one_edge_is_the_same_at_any_other():

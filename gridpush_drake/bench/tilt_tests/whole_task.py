@@ -157,7 +157,7 @@ def tell_story(
             break
         if press is not None:
             learner.log = replace(learner.log, presses=(*learner.log.presses, press))
-        told = PressStatus(
+        presser = PressStatus(
             command_id=state.press_id,
             outcome=made.state.outcome,
             reason="the benchmark's press ended",
@@ -166,7 +166,7 @@ def tell_story(
         run = replace(
             run,
             identification=learner.weigh(run.identification),
-            state=loop.follow_press(state, told),
+            state=loop.follow_press(state, presser),
         )
     status = run.state.status
     true = world.truth

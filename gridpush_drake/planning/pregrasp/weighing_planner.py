@@ -20,6 +20,7 @@ section 8.
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from itertools import product
 from math import ceil
 
 import numpy as np
@@ -97,9 +98,17 @@ instead."""
 SOME_EDGE = Edge(point=(0.0, 0.0), angle=0.0)
 """An edge for which rests are worked out, before they are moved to the table's own edges."""
 
-SLIDE_ERRORS = (0.004, 0.002, 0.001)
-"""How far from its goal a slide may end, m, so that a press is still possible. Those at the end are
-for where there is no place that allows more."""
+SLIDE_TRUST = {0.004: 1.0, 0.002: 0.7, 0.001: 0.5}
+"""How far from its goal a slide may end, m, so that a press is still possible; and the factor on
+the rate of a press that allows so much, as slides end only nearly where they should."""
+
+UNSTABLE_TRUST = 0.5
+"""Factor on the rate of a press at a place where the object might not be stable at the worst: a
+slide is cut short of it."""
+
+LYING_STILL_TRUST = 0.7
+"""Factor on the rate of a press that tilts the object with its center of mass where it is expected,
+and not wherever it may be."""
 
 SHORT_ARM = 0.012
 """Least distance of a press from the edge, m, where the center of mass may be almost anywhere."""
@@ -256,19 +265,11 @@ class TiltTestPlanner(PreGraspPlanner):
         """
         belief = model.absolute
         assert belief is not None
-        # A heavy object may lie still wherever its center of mass is farthest from the edge. If
-        # there is no other press, one is made that tilts it with the center where it is expected;
-        # and if there is none of these, one that tilts it if it is lighter than it is expected.
+        # If there is no other press, one is made that tilts the object if it is lighter than it is
+        # expected. The whole finger is to press on the object. Where no such press is left, a part
+        # that is too narrow for it is pressed.
         lighter = self._suppose_lighter(belief)
-        tried = [(self, True), (self, False), (lighter, False)]
-        # The whole finger is to press on the object. Where no such press is left, a part that is
-        # too narrow for it is pressed.
-        tried += [(planner._allow_narrow(), is_robust) for planner, is_robust in tried]
-        # As long as the center of mass may be almost anywhere, so little may hang over that only a
-        # press near the edge is left. It tells less than others, but enough for more to hang over
-        # at the next one.
-        nearest = self._allow_narrow()._allow_short()
-        tried += [(nearest, True), (nearest, False), (nearest._suppose_lighter(belief), False)]
+        tried = [self, lighter, self._allow_narrow(), lighter._allow_narrow()]
         # Where that leads to nothing, several presses that each tell little are better than none.
         asked = self.weighing.min_gain
         known = (
@@ -277,24 +278,47 @@ class TiltTestPlanner(PreGraspPlanner):
         )
         accepted = asked if known else min(asked, SMALL_GAIN)
         little: list[PressChoice] = []
-        for planner, is_robust in tried:
+        for planner in tried:
             planner = planner._accept_gain(accepted)
-            here = planner._find_press(pose, model, belief, is_robust)
-            # Slides end only nearly where they should, and the press should be possible all the
-            # same.
-            for room in SLIDE_ERRORS if may_slide else (0.0,):
-                placements = (
-                    planner._list_placements(pose, model, belief, is_robust, room)
-                    if may_slide
-                    else []
-                )
-                much = planner._choose_presses(belief, here, placements, asked)
-                if much is not None:
-                    yield much
-                some = planner._choose_presses(belief, here, placements, accepted)
-                if some is not None:
-                    little.append(some)
+            here, placements = planner._gather_presses(pose, model, belief, may_slide)
+            much = planner._choose_presses(belief, here, placements, asked)
+            if much is not None:
+                yield much
+            some = planner._choose_presses(belief, here, placements, accepted)
+            if some is not None:
+                little.append(some)
         yield from little
+
+    def _gather_presses(
+        self, pose: Array, model: Belief, belief: AbsoluteEstimate, may_slide: bool
+    ) -> tuple[PlannedPress | None, list["PressPlacement"]]:
+        """Gathers what there is by one set of rules, whether it is sure to come about or not.
+
+        A heavy object may lie still with its center of mass farthest from the edge. And as long as
+        that may be almost anywhere, so little may hang over that a press near the edge is the only
+        one. These are compared with all others by how soon they are expected to tell: an object
+        that is slid to wherever there is no doubt is pushed about.
+
+        Args:
+            pose: (3,) where the object lies, X_WB, m and rad.
+            model: what is known of it.
+            belief: what is held of its mass and center of mass.
+            may_slide: whether the object may be laid elsewhere.
+
+        Returns:
+            A press where it lies, the surest kind first; and placements, those that tell soonest
+            first.
+        """
+        here = None
+        placements: list[PressPlacement] = []
+        for planner, is_robust in product((self, self._allow_short()), (True, False)):
+            here = here or planner._find_press(pose, model, belief, is_robust)
+            sure = 1.0 if is_robust else LYING_STILL_TRUST
+            for room, trust in SLIDE_TRUST.items() if may_slide else ():
+                placements += planner._list_placements(
+                    pose, model, belief, is_robust, room=room, trust=sure * trust
+                )
+        return here, sorted(placements, key=lambda placement: -placement.rate)
 
     def _choose_presses(
         self,
@@ -439,12 +463,11 @@ class TiltTestPlanner(PreGraspPlanner):
         model: Belief,
         belief: AbsoluteEstimate,
         is_robust: bool = True,
+        *,
         room: float = 0.0,
+        trust: float = 1.0,
     ) -> list["PressPlacement"]:
         """Lists poses at the edge at which a press tells much, those first that tell it soonest.
-
-        Those at which the object is stable at the worst go before others. A slide is cut short of
-        all others, so that the object would be pushed about before them.
 
         Args:
             pose: (3,) where the object lies, X_WB, m and rad.
@@ -452,6 +475,7 @@ class TiltTestPlanner(PreGraspPlanner):
             belief: what is held of its mass and center of mass.
             is_robust: see `plan_press`.
             room: how far off the object may lie, m, and the press is still possible.
+            trust: factor on the rates, see `SLIDE_TRUST`.
         """
         masses = model.masses
         slide = self.options.slide
@@ -483,10 +507,10 @@ class TiltTestPlanner(PreGraspPlanner):
                 # Of the headings that are full turns apart, the nearest one is meant.
                 moved.pose[2] = pose[2] + wrap_angle(moved.pose[2] - pose[2])
                 goal = self._make_goal(pose, moved, masses)
-                rate = _calc_rate(gain, _count_slides(pose, moved.pose))
-                stable = goal.margin >= kept
-                found.append(PressPlacement(moved, goal, stable, gain, rate))
-        found.sort(key=lambda one: (not one.stable, -one.rate))
+                sure = trust if goal.margin >= kept else trust * UNSTABLE_TRUST
+                rate = sure * _calc_rate(gain, _count_slides(pose, moved.pose))
+                found.append(PressPlacement(moved, goal, gain, rate))
+        found.sort(key=lambda one: -one.rate)
         return found
 
     def _list_placements_at(
@@ -570,14 +594,13 @@ class PressPlacement:
     Attributes:
         planned: the press.
         goal: that a slide goes to.
-        stable: whether the object is stable there at the worst.
         gain: fraction of what is open that the press is expected to take away.
-        rate: how fast the press tells, with the slides to it, 1/s.
+        rate: how fast the press tells, with the slides to it, times how far the slides are trusted
+            to lead to it, 1/s.
     """
 
     planned: PlannedPress
     goal: PreGraspGoal
-    stable: bool
     gain: float
     rate: float
 
