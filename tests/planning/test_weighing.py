@@ -24,6 +24,7 @@ from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.weighing_planner import (
+    PressKind,
     TiltTestOptions,
     TiltTestPlanner,
     _calc_rate,
@@ -604,7 +605,9 @@ def test_a_planner_weighs_a_heavy_object_where_it_is_expected_to_tilt():
         )
         model = replace(Belief.of_identification(found), absolute=belief)
         rests = [
-            planner._list_placements(inside, model, belief, is_robust)
+            planner._list_placements(
+                inside, model, belief, [PressKind(planner._make_rules(belief), is_robust, 1.0)]
+            )
             for is_robust in (True, False)
         ]
         assert (*map(bool, rests), planner.decide(inside, model).action) == outcome
@@ -753,7 +756,8 @@ def test_a_place_where_the_object_may_tip_counts_half_and_a_slide_that_must_be_e
     model = replace(Belief.of_identification(found), absolute=belief)
     planner = TiltTestPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
     pose = np.array([0.0, 0.1, 1.96])
-    rests = planner._list_placements(pose, model, belief, room=0.002, trust=0.7)
+    kinds = [kind for kind in planner._list_kinds(belief) if kind.trust == 0.7 and kind.is_robust]
+    rests = planner._list_placements(pose, model, belief, kinds)
     safe = [rest.goal.margin >= planner.options.slide.margin for rest in rests]
     assert True in safe and False in safe
     for rest, is_safe in zip(rests, safe, strict=True):

@@ -309,16 +309,34 @@ class TiltTestPlanner(PreGraspPlanner):
             A press where it lies, the surest kind first; and placements, those that tell soonest
             first.
         """
-        here = None
-        placements: list[PressPlacement] = []
-        for planner, is_robust in product((self, self._allow_short()), (True, False)):
-            here = here or planner._find_press(pose, model, belief, is_robust)
-            sure = 1.0 if is_robust else LYING_STILL_TRUST
-            for room, trust in SLIDE_TRUST.items() if may_slide else ():
-                placements += planner._list_placements(
-                    pose, model, belief, is_robust, room=room, trust=sure * trust
-                )
-        return here, sorted(placements, key=lambda placement: -placement.rate)
+        arms = (self, self._allow_short())
+        here = next(
+            (
+                press
+                for planner, is_robust in product(arms, (True, False))
+                if (press := planner._find_press(pose, model, belief, is_robust)) is not None
+            ),
+            None,
+        )
+        kinds = sorted(
+            (kind for planner in arms for kind in planner._list_kinds(belief)),
+            key=lambda kind: -kind.trust,
+        )
+        placements = self._list_placements(pose, model, belief, kinds) if may_slide else []
+        return here, placements
+
+    def _list_kinds(self, belief: AbsoluteEstimate) -> list["PressKind"]:
+        """Lists the kinds of presses for which the object may be laid somewhere."""
+        rules = self._make_rules(belief)
+        return [
+            PressKind(
+                replace(rules, pose_error=rules.pose_error + room, min_arm=rules.min_arm + room),
+                is_robust,
+                trust if is_robust else trust * LYING_STILL_TRUST,
+            )
+            for is_robust in (True, False)
+            for room, trust in SLIDE_TRUST.items()
+        ]
 
     def _choose_presses(
         self,
@@ -462,10 +480,7 @@ class TiltTestPlanner(PreGraspPlanner):
         pose: Array,
         model: Belief,
         belief: AbsoluteEstimate,
-        is_robust: bool = True,
-        *,
-        room: float = 0.0,
-        trust: float = 1.0,
+        kinds: Sequence["PressKind"],
     ) -> list["PressPlacement"]:
         """Lists poses at the edge at which a press tells much, those first that tell it soonest.
 
@@ -473,32 +488,30 @@ class TiltTestPlanner(PreGraspPlanner):
             pose: (3,) where the object lies, X_WB, m and rad.
             model: what is known of it.
             belief: what is held of its mass and center of mass.
-            is_robust: see `plan_press`.
-            room: how far off the object may lie, m, and the press is still possible.
-            trust: factor on the rates, see `SLIDE_TRUST`.
+            kinds: of presses; with each heading the first one counts that is possible.
         """
         masses = model.masses
         slide = self.options.slide
         kept = calc_kept_margin(masses, pose, self.surface, slide.margin, slide.inset)
-        rules = self._make_rules(belief)
-        rules = replace(rules, pose_error=rules.pose_error + room, min_arm=rules.min_arm + room)
+
+        def list_telling(heading: float) -> list[tuple[PlannedPress, float, float]]:
+            for kind in kinds:
+                planned = self._list_placements_at(heading, masses, kind)
+                if planned:
+                    return [(one, self._calc_gain(belief, one), kind.trust) for one in planned]
+            return []
+
         # The edges differ only in where they are: what is told by a press is the same at each.
-        telling = [
-            (planned, self._calc_gain(belief, planned))
-            for heading in calc_headings(self.obj, SOME_EDGE).tolist()
-            for planned in self._list_placements_at(heading, masses, rules, is_robust)
-        ]
+        headings = calc_headings(self.obj, SOME_EDGE).tolist()
+        telling = [one for heading in headings for one in list_telling(heading)]
         found: list[PressPlacement] = []
         for edge in list_edges(self.surface):
             # The object may also go over the edge as it lies.
             upright = float(wrap_angle(pose[2] - edge.line.angle))
-            unturned = [
-                (planned, self._calc_gain(belief, planned))
-                for planned in self._list_placements_at(upright, masses, rules, is_robust)
-            ]
+            unturned = list_telling(upright)
             along = float(edge.line.calc_along(pose[:2]))
             along = float(np.clip(along, CORNER_ROOM, max(edge.length - CORNER_ROOM, CORNER_ROOM)))
-            for planned, gain in (*unturned, *telling):
+            for planned, gain, trust in (*unturned, *telling):
                 if gain < self.weighing.min_gain:
                     continue
                 moved = planned.move_to(edge.line, along)
@@ -514,12 +527,17 @@ class TiltTestPlanner(PreGraspPlanner):
         return found
 
     def _list_placements_at(
-        self, heading: float, masses: PlausibleMassSet, rules: PressRules, is_robust: bool
+        self, heading: float, masses: PlausibleMassSet, kind: "PressKind"
     ) -> list[PlannedPress]:
         """Lists how far the object may hang over `SOME_EDGE` with a heading, rad; see above."""
-        centers = masses.center_of_mass_polygon
         return list_placements(
-            self.obj, centers, heading, SOME_EDGE, self._top, rules, is_robust=is_robust
+            self.obj,
+            masses.center_of_mass_polygon,
+            heading,
+            SOME_EDGE,
+            self._top,
+            kind.rules,
+            is_robust=kind.is_robust,
         )
 
     def _choose_placements(self, placements: Sequence["PressPlacement"]) -> list["PressPlacement"]:
@@ -585,6 +603,21 @@ def _calc_rate(gain: float, slides: int) -> float:
         slides: number of slides to it.
     """
     return float(-np.log1p(-gain) / (PRESS_TIME + slides * SLIDE_TIME))
+
+
+@dataclass(frozen=True)
+class PressKind:
+    """A kind of presses for which an object may be laid somewhere.
+
+    Attributes:
+        rules: what they keep to, with room for a slide that ends only nearly where it should.
+        is_robust: see `plan_press`.
+        trust: factor on the rates, by how far they are trusted to come about.
+    """
+
+    rules: PressRules
+    is_robust: bool
+    trust: float
 
 
 @dataclass(frozen=True, eq=False)
