@@ -19,7 +19,7 @@ BEGIN = monotonic()
 USED_UP = "the budget is used up"
 """Why a test was skipped for which there was no time."""
 
-WARM_UP = "from gridpush_drake.cli.shell.kernels import compile_all, compile_rare; compile_all(); compile_rare()"
+WARM_UP = "from gridpush_drake.dynamics.warm_up import compile_rollouts; compile_rollouts()"
 """Python code that compiles the kernels, or finds them compiled."""
 
 

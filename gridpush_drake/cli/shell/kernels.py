@@ -29,7 +29,7 @@ from gridpush_drake.dynamics.warm_up import (
     DISC_RADIUS,
     DISC_SPEED,
     SQUARE_SIDE,
-    compile_batches,
+    compile_columns,
     compile_rollouts,
     compile_scenes,
     is_compiled,
@@ -80,9 +80,10 @@ it has not compiled is compiled when it is first needed."""
 def compile_all() -> None:
     """Loads the kernels that commands need, and compiles those that are not in the cache."""
     with _working_apart(SECOND_PROCESS_CODE, needed=not is_compiled()) as processes:
-        compile_rest()
+        compile_rollouts()
         _wait_for(processes)
-    compile_apart()
+    compile_contact_search()
+    compile_margins()
 
 
 def is_rare_compiled() -> bool:
@@ -121,8 +122,8 @@ def compiling_meanwhile() -> Iterator[None]:
 
 
 def compile_apart() -> None:
-    """Compiles the second process's part: many pushes at once, and what a grasp is planned with."""
-    compile_batches()
+    """Compiles the second process's part: what a rollout needs last, and what it does not need."""
+    compile_columns()
     compile_margins()
 
 

@@ -13,9 +13,9 @@ from gridpush_drake.dynamics.warm_up import is_compiled
 def warm_up(json: options.Json = False) -> None:
     """Compile the simulation to machine code now, so that no later command has to wait for it.
 
-    This is needed once for each computer and each version of the package, and takes two to three
+    This is needed once for each computer and each version of the package, and takes about four
     minutes on two idle cores. Without it, the first command that simulates a push compiles what
-    that needs, in about 25 seconds. What only some commands need, such as steering or several
+    that needs, in about 30 seconds. What only some commands need, such as steering or several
     objects, is then compiled by the first of them. The compiled code is kept in the folder that
     NUMBA_CACHE_DIR names, else in gridpush_drake below XDG_CACHE_HOME, else in
     ~/.cache/gridpush_drake.

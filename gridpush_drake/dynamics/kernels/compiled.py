@@ -30,7 +30,7 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -135,7 +135,6 @@ def kernel(
         return numba_internals.make_dispatcher(
             function,
             KernelCache(function),
-            KernelCache(function, part=True),
             counts_references=allocates,
             called_from_python=not function.__name__.startswith("_"),
             inlined=inlined,
@@ -151,6 +150,11 @@ def get_cache(function: Callable[..., Any]) -> "KernelCache":
     """Takes the cache of a kernel."""
     found: KernelCache = numba_internals.get_cache(function)
     return found
+
+
+def compile_for(function: Callable[..., Any], types: Sequence[Any]) -> None:
+    """Compiles a kernel for some types of arguments, or finds it in the cache."""
+    numba_internals.compile_for(function, types)
 
 
 @cache
@@ -297,20 +301,15 @@ class KernelCache(NumbaCache):
     one process could find its number given to another one's file.)
     """
 
-    def __init__(self, function: Callable[..., Any], part: bool = False) -> None:
-        """Looks for no folder yet, but hashes the sources now, as they are read.
-
-        Args:
-            function: the function.
-            part: whether this is of what other kernels take over, not of what Python calls.
-        """
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Looks for no folder yet, but hashes the sources now, as they are read."""
         self._function = function
         self._source = Path(function.__code__.co_filename)
         calc_digest(self._source)
         # <locals>, of a function within another one, is no part of a file's name.
         name = function.__qualname__.replace("<", "").replace(">", "")
         line = function.__code__.co_firstlineno
-        self._stem = f"{self._source.stem}.{name}-{line}{'-part' if part else ''}"
+        self._stem = f"{self._source.stem}.{name}-{line}"
 
     @property
     def cache_path(self) -> str:

@@ -11,9 +11,9 @@ they are needed. What stands here is not documented, and any version of Numba ma
 * four options of `njit`: `_nrt`, `no_cpython_wrapper`, `no_cfunc_wrapper` and `forceinline`
   (`make_dispatcher`, `BORROWED_OPTIONS`);
 * the library that a compiler fills, and the moment before it is optimized, at which its functions
-  are closed to other files (`make_compiler`);
-* the two methods by which compiled code finds what it calls (`CALLEE_METHODS`);
-* `instance_class` of a named tuple's type (`get_record_class`).
+  are closed to other files (`make_closed_compiler`);
+* `compile` of a dispatcher (`compile_for`), and `instance_class` of a named tuple's type
+  (`get_record_class`).
 
 Each is looked up by a function of this module, which raises a NumbaError where it is not there.
 Whether it still does what is wanted is tested in `tests/dynamics/kernels/test_numba_internals.py`.
@@ -53,10 +53,6 @@ INLINE_OPTION = "forceinline"
 
 A function for which it is not set takes it from whichever function has it compiled first."""
 
-CALLEE_METHODS = ("get_call_template", "get_overload")
-"""Methods of a dispatcher that compiled code asks for a function that it calls: what that returns,
-and what is linked in."""
-
 SHARED_LINKAGE = "linkonce_odr"
 """Linkage of a function of which each file that needs it holds a copy. Of all the copies that a
 process has loaded, all callers call the one that was loaded first."""
@@ -66,9 +62,6 @@ ENTRY_LINKAGE = "external"
 
 INTERNAL_LINKAGE = "internal"
 """Linkage of a function that only its own file calls."""
-
-ABSENT_LINKAGE = "available_externally"
-"""Linkage of a function of which no machine code is made."""
 
 RUNTIME_PREFIX = "NRT_"
 """Beginning of the names of the functions that count references. Numba's optimization knows them by
@@ -110,7 +103,6 @@ class NumbaCache:
 def make_dispatcher(
     function: Callable[..., Any],
     cache: NumbaCache,
-    part_cache: NumbaCache,
     *,
     counts_references: bool,
     called_from_python: bool,
@@ -119,17 +111,12 @@ def make_dispatcher(
 ) -> Callable[..., Any]:
     """Makes a function one that is compiled on its first call.
 
-    A kernel has two forms. Python calls the whole: machine code, optimized together with all that
-    it calls. Other kernels take over the part: the code as it was before it was optimized. As it is
-    optimized only where it is taken over, the time for it is spent once.
-
     What it calculates is the same, to the last bit, whichever process compiled it and whatever else
-    was loaded before, see `make_compiler`.
+    was loaded before, see `make_closed_compiler`.
 
     Args:
         function: the function.
-        cache: where the whole is kept.
-        part_cache: where the part is kept.
+        cache: where what is compiled is kept.
         counts_references: whether it counts references to arrays, as one must that makes some.
         called_from_python: whether Python can call it, and not compiled code alone.
         inlined: whether its code becomes part of every function that calls it.
@@ -147,39 +134,23 @@ def make_dispatcher(
     all_options: dict[str, Any] = {
         **options,
         NO_REFERENCES: counts_references,
+        NO_PYTHON: not called_from_python,
         NO_C: True,
         INLINE_OPTION: inlined,
     }
-
-    def make(whole: bool, its_cache: NumbaCache) -> Any:
-        form_options = {**all_options, NO_PYTHON: not whole}
-        made: Any = numba.njit(pipeline_class=make_compiler(whole), **form_options)(function)
-        if made is not function:
-            _set_cache(made, its_cache)
-        return made
-
-    part = make(False, part_cache)
-    if part is function:
-        return function  # NUMBA_DISABLE_JIT is set: nothing is compiled, nor kept
-    if not called_from_python:
-        return part
-    whole = make(True, cache)
-    for name in CALLEE_METHODS:
-        setattr(whole, name, _take(part, name, "a dispatcher"))
-    return whole
-
-
-def _set_cache(dispatcher: Any, its_cache: NumbaCache) -> None:
-    """Gives a dispatcher another cache than Numba's."""
-    numbas_own = _take(dispatcher, CACHE_ATTRIBUTE, "a dispatcher")
-    members = {name for name in dir(numbas_own) if not name.startswith("_")}
+    dispatcher: Any = numba.njit(pipeline_class=make_closed_compiler(), **all_options)(function)
+    if dispatcher is function:
+        return dispatcher  # NUMBA_DISABLE_JIT is set: nothing is compiled, nor kept
+    its_own = _take(dispatcher, CACHE_ATTRIBUTE, "a dispatcher")
+    members = {name for name in dir(its_own) if not name.startswith("_")}
     if members != CACHE_MEMBERS:
         raise _complain(f"a dispatcher's cache with {', '.join(sorted(CACHE_MEMBERS))} alone")
-    setattr(dispatcher, CACHE_ATTRIBUTE, its_cache)
+    setattr(dispatcher, CACHE_ATTRIBUTE, cache)
+    return dispatcher
 
 
 @cache
-def make_compiler(whole: bool) -> type:
+def make_closed_compiler() -> type:
     """Makes the class of a compiler whose machine code calls only what stands in the same file.
 
     Numba compiles each function into a file of its own, with a copy of every function that it
@@ -189,10 +160,6 @@ def make_compiler(whole: bool) -> type:
     compile, before. Here a file's copies are closed to other files before they are optimized. And
     what another kernel takes over is the code as it was before, so that there is one copy of each
     function in a file, and all of it is optimized together.
-
-    Args:
-        whole: whether it makes what Python calls, or the part that other kernels take over. Of that
-            it makes no machine code.
 
     Returns:
         A subclass of Numba's compiler, for `njit(pipeline_class=...)`.
@@ -211,12 +178,8 @@ def make_compiler(whole: bool) -> type:
             """Closes the functions before they are optimized, and keeps them open for linking."""
             self._shared_module = self._final_module.clone()
             _change_linkage(self._shared_module, ENTRY_LINKAGE, SHARED_LINKAGE)
-            if whole:
-                _change_linkage(self._final_module, SHARED_LINKAGE, INTERNAL_LINKAGE)
-                super()._optimize_final_module()
-            else:
-                for linkage in (ENTRY_LINKAGE, SHARED_LINKAGE):
-                    _change_linkage(self._final_module, linkage, ABSENT_LINKAGE)
+            _change_linkage(self._final_module, SHARED_LINKAGE, INTERNAL_LINKAGE)
+            super()._optimize_final_module()
 
     class ClosedCompiler(compiler_class):
         """A compiler that fills such a library."""
@@ -242,6 +205,11 @@ def _change_linkage(module: Any, old: str, new: str) -> None:
 def get_cache(dispatcher: Any) -> Any:
     """Takes the cache of a dispatcher."""
     return _take(dispatcher, CACHE_ATTRIBUTE, "a dispatcher")
+
+
+def compile_for(dispatcher: Any, types: Sequence[Any]) -> None:
+    """Compiles a function for some types of arguments, or finds it in its cache."""
+    _take(dispatcher, "compile", "a dispatcher")(tuple(types))
 
 
 def get_codegen(target_context: Any) -> Any:

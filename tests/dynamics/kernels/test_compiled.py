@@ -17,7 +17,9 @@ import pytest
 
 from gridpush_drake.dynamics.kernels import compiled
 from gridpush_drake.dynamics.kernels.compiled import calc_digest, hash_own_records
+from gridpush_drake.dynamics.kernels.forward_sensitivity import step_columns
 from gridpush_drake.dynamics.kernels.inputs import Body
+from gridpush_drake.dynamics.warm_up import compile_rollouts, find_columns_signature
 
 USER = """
 import sys
@@ -314,6 +316,15 @@ def test_no_place_is_predictable_by_others(monkeypatch, tmp_path):
     assert all(part.stat().st_mode & 0o022 == 0 for part in (folder, *folder.parents[:2]))
     monkeypatch.setattr(compiled, "_list_places", lambda: [])
     assert compiled.find_cache_folder.__wrapped__(Path(compiled.__file__)) is None
+
+
+def test_the_second_process_compiles_the_columns_for_the_types_that_the_rollout_calls_them_with():
+    compile_rollouts()
+    cache = compiled.get_cache(step_columns)
+    files = cache.list_files()
+    assert files
+    codegen = step_columns.targetctx.codegen()
+    assert files == [cache.find_file(find_columns_signature(), codegen)]
 
 
 def test_a_kernel_is_compiled_anew_when_a_friction_law_of_the_user_s_own_changes(

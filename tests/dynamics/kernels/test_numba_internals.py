@@ -51,22 +51,23 @@ def first(x):
     return x[0]
 
 
-def make_kernel(function, cache=None, part_cache=None, **options):
-    """A kernel that counts references and that Python can call, unless it is told otherwise."""
-    options = {"counts_references": True, "called_from_python": True, **options}
-    return make_dispatcher(function, cache or Memory(), part_cache or Memory(), **options)
-
-
-def compile_text(function, **options):
+def compile_text(function, *, counts_references=True, called_from_python=True):
     """The LLVM code of a function that takes an array."""
-    made = make_kernel(function, **options)
-    made.compile((numba.float64[::1],))
+    made = make_dispatcher(
+        function,
+        Memory(),
+        counts_references=counts_references,
+        called_from_python=called_from_python,
+    )
+    numba_internals.compile_for(made, (numba.float64[::1],))
     return "".join(made.inspect_llvm().values())
 
 
 def test_a_dispatcher_asks_its_cache_and_runs_what_the_cache_gives_it():
     cache = Memory()
-    one, other = (make_kernel(first_of_copy, cache) for _ in range(2))
+    options = {"counts_references": True, "called_from_python": True}
+    one = make_dispatcher(first_of_copy, cache, **options)
+    other = make_dispatcher(first_of_copy, cache, **options)
     assert one(np.array([2.0, 3.0])) == 2.0
     assert len(cache.kept) == 1
     assert other(np.array([4.0, 3.0])) == 4.0
@@ -114,43 +115,22 @@ def test_a_kernel_calls_its_own_copies_of_other_kernels_whatever_was_loaded_befo
     def sum_twice(x):
         return sum_terms(x) + sum_terms(x[::-1].copy()) * sum_terms(x + 1.0)
 
+    options = {"counts_references": True, "called_from_python": True}
     plain, memory = sum_terms, Memory()
     sum_terms = numba.njit(plain)
     _, shared = list_closed_and_shared(numba.njit(sum_twice))
     assert any("sum_terms" in name for name in shared), "what is to be prevented does not happen"
-    sum_terms = make_kernel(plain, part_cache=memory, fastmath={"reassoc"})
+    sum_terms = make_dispatcher(plain, memory, fastmath={"reassoc"}, **options)
     if loaded:
         sum_terms(np.ones(8))
-        make_kernel(sum_twice)(np.ones(8))
-        sum_terms = make_kernel(plain, part_cache=memory, fastmath={"reassoc"})
-        kept = dict(memory.kept)
-    closed, shared = list_closed_and_shared(make_kernel(sum_twice))
+        sum_terms = make_dispatcher(plain, memory, fastmath={"reassoc"}, **options)
+    closed, shared = list_closed_and_shared(make_dispatcher(sum_twice, Memory(), **options))
     assert any("sum_terms" in name for name in closed) and not shared
-    assert len(memory.kept) == 1
-    assert not loaded or memory.kept == kept, "compiled anew instead"
-
-
-def test_what_other_kernels_take_over_is_no_machine_code_of_its_own():
-    def double(x):
-        return 2.0 * x
-
-    def quadruple(x):
-        return double(double(x))
-
-    whole, part = Memory(), Memory()
-    double = make_kernel(double, whole, part)
-    assert make_kernel(quadruple)(3.0) == 12.0
-    assert len(part.kept) == 1 and not whole.kept
-    assert double(3.0) == 6.0
-    assert len(whole.kept) == 1
-    inner = make_kernel(double.py_func, called_from_python=False)
-    inner.compile((numba.float64,))
-    (library,) = (each.library for each in inner.overloads.values())
-    assert not any(each.linkage.name == "external" for each in library._final_module.functions)
+    assert sum(sum_terms.stats.cache_hits.values()) == loaded
 
 
 def test_the_machine_is_described_by_its_kind_its_processor_and_its_features():
-    made = make_kernel(first)
+    made = make_dispatcher(first, Memory(), counts_references=True, called_from_python=True)
     codegen = numba_internals.get_codegen(made.targetctx)
     kind, processor, features = numba_internals.describe_machine(codegen)
     assert "-" in kind and processor
@@ -177,11 +157,11 @@ def test_the_class_of_a_named_tuple_is_found():
 
 
 def make():
-    return make_kernel(first)
+    return make_dispatcher(first, Memory(), counts_references=True, called_from_python=True)
 
 
-def make_compiler():
-    return numba_internals.make_compiler.__wrapped__(whole=True)
+def make_closed_compiler():
+    return numba_internals.make_closed_compiler.__wrapped__()
 
 
 @pytest.mark.parametrize(
@@ -189,9 +169,9 @@ def make_compiler():
     [
         (cpu.CPUTargetOptions, "_nrt", make),
         (cpu.CPUTargetOptions, "no_cpython_wrapper", make),
-        (codegen, "JITCodeLibrary", make_compiler),
-        (codegen.JITCodeLibrary, "_optimize_final_module", make_compiler),
-        (compiler, "Compiler", make_compiler),
+        (codegen, "JITCodeLibrary", make_closed_compiler),
+        (codegen.JITCodeLibrary, "_optimize_final_module", make_closed_compiler),
+        (compiler, "Compiler", make_closed_compiler),
         (compiler, "CompileResult", lambda: numba_internals.rebuild_result(None, ())),
         (serialize, "dumps", lambda: numba_internals.dump(1)),
     ],
@@ -218,6 +198,7 @@ class Empty:
     "call",
     [
         numba_internals.get_cache,
+        lambda value: numba_internals.compile_for(value, ()),
         numba_internals.get_codegen,
         numba_internals.describe_machine,
         numba_internals.get_result_codegen,
