@@ -48,7 +48,6 @@ POINT_SPACING = 0.004
 FIELD_ROOM = 0.3
 """By how much a field reaches beyond obstacles and start where there is no table, m."""
 
-
 APPROACH_GAP = 0.012
 """Gap between finger and object where the finger comes down, m."""
 

@@ -149,6 +149,14 @@ def test_jobs_of_a_disc_keep_the_keys_that_they_had():
     assert "plate" in replace(job, pusher="plate:0.05x0.02x0.003").describe()
 
 
+@pytest.mark.slow
+def test_a_path_is_followed_by_the_plate_of_the_job():
+    job = FeedbackJob(PATH_RUN, LCP_WORLD, NAME, TRUE_MODEL, 1, pusher="plate:0.05x0.02x0.003")
+    run = run_job(job)
+    assert run.reached
+    assert run.rms < 2e-3
+
+
 def test_only_what_is_steered_is_done_by_a_plate():
     options = STUDY.options(worlds=(LCP_WORLD,), objects=(NAME,), pusher="plate:0.05x0.02x0.003")
     jobs = STUDY.make_jobs(options)

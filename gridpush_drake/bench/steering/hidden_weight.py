@@ -190,9 +190,8 @@ def run_session(job: SessionJob) -> list[Followed]:
     results = []
     for episode in range(job.episodes):
         pose = np.array([*START_PLACE, rng.uniform(-np.pi, np.pi)])
-        finger = make_finger(
-            pose, STEERED_FINGER.place_beside(obj, pose, rng.uniform(-np.pi, np.pi))
-        )
+        tip = STEERED_FINGER.place_beside(obj, pose, rng.uniform(-np.pi, np.pi))
+        finger = make_finger(pose, tip, STEERED_FINGER)
         follower = _make_follower(obj, found, goal, job.seed + episode)
         log = FollowLog(obj, STEERED_FINGER.radius)
         run = follow(

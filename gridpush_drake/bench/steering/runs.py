@@ -208,7 +208,7 @@ def run_job(job: FeedbackJob) -> Followed:
     obj = case.obj
     if job.kind == PATH_RUN:
         path, pose = make_path(obj)
-        world = case.make_finger(pose, finger.place_beside(obj, pose, np.pi))
+        world = case.make_finger(pose, finger.place_beside(obj, pose, np.pi), finger)
         follower = make_follower(job, case, path)
         run, decision = time_run(job, case, follower, world)
         path_progress = PathProgress(obj, path)

@@ -60,9 +60,7 @@ MAX_POKE_TRIES = 200
 class FingerMaker(Protocol):
     """Makes a world with the hidden body, and a finger that is steered there."""
 
-    def __call__(
-        self, pose: ArrayLike, tip: ArrayLike, finger: FeedbackFinger = STEERED_FINGER
-    ) -> SteeredFinger:
+    def __call__(self, pose: ArrayLike, tip: ArrayLike, finger: FeedbackFinger) -> SteeredFinger:
         """Puts the object down at a pose (3,), and the finger at a place (2,).
 
         A finger that is no disc is put down at (3,), with its angle, rad.
@@ -142,9 +140,7 @@ def put_body(
             seed=seed,
         )
 
-        def make_finger(
-            pose: ArrayLike, tip: ArrayLike, finger: FeedbackFinger = STEERED_FINGER
-        ) -> SteeredFinger:
+        def make_finger(pose: ArrayLike, tip: ArrayLike, finger: FeedbackFinger) -> SteeredFinger:
             world = SimulatedWorld(Model(obj, truth), pose)
             return SteeredFinger(world, tip, finger.radius, POSE_SENSOR, seed, shape=finger.shape)
 
@@ -158,9 +154,7 @@ def put_body(
             seed=seed,
         )
 
-        def make_finger(
-            pose: ArrayLike, tip: ArrayLike, finger: FeedbackFinger = STEERED_FINGER
-        ) -> SteeredFinger:
+        def make_finger(pose: ArrayLike, tip: ArrayLike, finger: FeedbackFinger) -> SteeredFinger:
             world = MujocoWorld(body, finger.shape or finger.radius, pose=pose)
             return SteeredFinger(world, tip, finger.radius, POSE_SENSOR, seed, shape=finger.shape)
 

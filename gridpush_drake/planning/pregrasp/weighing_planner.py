@@ -493,22 +493,18 @@ class TiltTestPlanner(PreGraspPlanner):
         masses = model.masses
         slide = self.options.slide
         kept = calc_kept_margin(masses, pose, self.surface, slide.margin, slide.inset)
-
-        def list_telling(heading: float) -> list[tuple[PlannedPress, float, float]]:
-            for kind in kinds:
-                planned = self._list_placements_at(heading, masses, kind)
-                if planned:
-                    return [(one, self._calc_gain(belief, one), kind.trust) for one in planned]
-            return []
-
         # The edges differ only in where they are: what is told by a press is the same at each.
         headings = calc_headings(self.obj, SOME_EDGE).tolist()
-        telling = [one for heading in headings for one in list_telling(heading)]
+        telling = [
+            one
+            for heading in headings
+            for one in self._list_telling(heading, masses, belief, kinds)
+        ]
         found: list[PressPlacement] = []
         for edge in list_edges(self.surface):
             # The object may also go over the edge as it lies.
             upright = float(wrap_angle(pose[2] - edge.line.angle))
-            unturned = list_telling(upright)
+            unturned = self._list_telling(upright, masses, belief, kinds)
             along = float(edge.line.calc_along(pose[:2]))
             along = float(np.clip(along, CORNER_ROOM, max(edge.length - CORNER_ROOM, CORNER_ROOM)))
             for planned, gain, trust in (*unturned, *telling):
@@ -526,19 +522,31 @@ class TiltTestPlanner(PreGraspPlanner):
         found.sort(key=lambda one: -one.rate)
         return found
 
-    def _list_placements_at(
-        self, heading: float, masses: PlausibleMassSet, kind: "PressKind"
-    ) -> list[PlannedPress]:
-        """Lists how far the object may hang over `SOME_EDGE` with a heading, rad; see above."""
-        return list_placements(
-            self.obj,
-            masses.center_of_mass_polygon,
-            heading,
-            SOME_EDGE,
-            self._top,
-            kind.rules,
-            is_robust=kind.is_robust,
-        )
+    def _list_telling(
+        self,
+        heading: float,
+        masses: PlausibleMassSet,
+        belief: AbsoluteEstimate,
+        kinds: Sequence["PressKind"],
+    ) -> list[tuple[PlannedPress, float, float]]:
+        """Lists how far the object may hang over `SOME_EDGE` with a heading, rad; see above.
+
+        Returns:
+            The press of each overhang, its gain and how far it is trusted, all of one kind.
+        """
+        for kind in kinds:
+            planned = list_placements(
+                self.obj,
+                masses.center_of_mass_polygon,
+                heading,
+                SOME_EDGE,
+                self._top,
+                kind.rules,
+                is_robust=kind.is_robust,
+            )
+            if planned:
+                return [(one, self._calc_gain(belief, one), kind.trust) for one in planned]
+        return []
 
     def _choose_placements(self, placements: Sequence["PressPlacement"]) -> list["PressPlacement"]:
         """Chooses the first rests at which the arm can press, of different headings.
