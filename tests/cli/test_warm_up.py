@@ -8,20 +8,28 @@ from pathlib import Path
 
 import pytest
 
-from gridpush_drake.cli.shell import kernels
+from gridpush_drake.cli.shell import kernels, warm_up
 from gridpush_drake.dynamics.kernels import compiled
 from gridpush_drake.dynamics.kernels.rollout import rollout
 
 ROOT = Path(__file__).parents[2]
 
 
-def test_says_where_the_kernels_are_kept_and_whether_they_were_compiled(gridpush):
+@pytest.mark.parametrize("kind", ["is_compiled", "is_rare_compiled"])
+def test_says_where_the_kernels_are_kept_and_whether_they_were_compiled(
+    gridpush, monkeypatch, kind
+):
+    for name in ("is_compiled", "is_rare_compiled"):
+        monkeypatch.setattr(warm_up, name, lambda: True)
+    monkeypatch.setattr(warm_up, "compile_rare", lambda: None)
     found = json.loads(gridpush("warm-up", "--json").out)
     assert found["compiled"] is False
     assert "kernels-" in found["folder"]
     assert gridpush("warm-up").out.startswith(
         "The simulation was compiled before; the compiled code is"
     )
+    monkeypatch.setattr(warm_up, kind, lambda: False)
+    assert json.loads(gridpush("warm-up", "--json").out)["compiled"] is True
 
 
 def test_other_processes_compile_while_this_one_does_something_else(monkeypatch, tmp_path):
