@@ -180,7 +180,12 @@ ROWS: dict[str, ReleaseRow] = {
     ),
 }
 """What the pages state, by name. What needs real pushes or measures times is not among them: see
-the commands on the page."""
+the commands on the pages."""
+
+EXPECTED_MARKS = (
+    f"expected <!-- release: NAME --> and <!-- release end --> with some of {', '.join(ROWS)}"
+)
+"""What is said to be expected of a page."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +196,7 @@ class ReleaseOptions(StudyOptions):
         rows: names of rows; all where None.
         minutes: no job begins after so many minutes; None for no end.
         folder: where results are kept.
-        pages: pages into which the tables are written.
+        pages: pages into which the tables are written, or folders of such pages.
         workers: number of worker processes.
         renew: whether results of other code are measured anew.
     """
@@ -208,9 +213,9 @@ class ReleaseOptions(StudyOptions):
     pages: tuple[str, ...] | None = option(
         None,
         "A page whose tables between `<!-- release: NAME -->` and `<!-- release end -->` are "
-        "written anew; may be repeated.",
+        "written anew, or a folder of pages; may be repeated.",
         name="--page",
-        metavar="FILE",
+        metavar="PATH",
     )
     workers: int = option(DEFAULT_WORKERS, "Worker processes; 0 for none.", least=0)
     renew: bool = option(False, "Measure anew what was measured with other code.")
@@ -275,7 +280,7 @@ def measure(options: ReleaseOptions, report: Report | None) -> list[Table]:
     """
     names = tuple(ROWS) if options.rows is None else options.rows
     check_known("rows", names, tuple(ROWS))
-    pages = {Path(page): _read_page(Path(page)) for page in options.pages or ()}
+    pages = {page: text for given in options.pages or () for page, text in _read_pages(Path(given))}
     end = float("inf")
     if options.minutes is not None:
         end = monotonic() + SECONDS_PER_MINUTE * options.minutes
@@ -314,19 +319,23 @@ def write_into(text: str, measured: Sequence[MeasuredRow]) -> str:
     return MARK.sub(write, text)
 
 
-def _read_page(page: Path) -> str:
-    """Reads a page that has a place for some row."""
-    try:
-        text = page.read_text(encoding="utf-8")
-    except OSError as error:
-        raise GridPushError(f"{page}: cannot be read: {error.strerror}") from error
-    unknown = [name for _, name, _ in MARK.findall(text) if name not in ROWS]
-    if unknown or not MARK.search(text):
-        raise GridPushError(
-            f"{page}: has {', '.join(unknown) or 'no row'}; expected <!-- release: NAME --> and "
-            f"<!-- release end --> with some of {', '.join(ROWS)}"
-        )
-    return text
+def _read_pages(given: Path) -> list[tuple[Path, str]]:
+    """Reads a page, or those pages of a folder, that have a place for some row."""
+    found = []
+    for page in sorted(given.glob("*.md")) if given.is_dir() else [given]:
+        try:
+            text = page.read_text(encoding="utf-8")
+        except OSError as error:
+            raise GridPushError(f"{page}: cannot be read: {error.strerror}") from error
+        names = [name for _, name, _ in MARK.findall(text)]
+        unknown = [name for name in names if name not in ROWS]
+        if unknown:
+            raise GridPushError(f"{page}: has {', '.join(unknown)}; {EXPECTED_MARKS}")
+        if names:
+            found.append((page, text))
+    if not found:
+        raise GridPushError(f"{given}: has no row; {EXPECTED_MARKS}")
+    return found
 
 
 def _measure_row(

@@ -3,8 +3,8 @@
 `simulate_near_edge` follows a push by one model, as exactly as all simulations. `follow_near_edge`
 follows it by many models, which are only compared: in steps twice as long, and with each step
 solved only as well as `PushBatch` does it where poses may be approximate. At the ends of pushes of
-up to 15 cm the mean cell error of that was at most 0.16 mm (`docs/measurements.md`). The loads of
-an overhanging object are `dynamics.kernels.support_loads`.
+up to 15 cm the mean cell error of that was at most 0.16 mm (`docs/measurements/speed.md`). The
+loads of an overhanging object are `dynamics.kernels.support_loads`.
 """
 
 from collections.abc import Sequence

@@ -78,6 +78,20 @@ def test_a_row_goes_on_where_it_was_and_its_table_is_written_into_pages(tmp_path
     assert [table.rows for table in again] == [table.rows for table in done]
 
 
+def test_a_folder_stands_for_its_pages_that_have_a_place_for_a_row(tmp_path, quick):
+    pages = tmp_path / "pages"
+    pages.mkdir()
+    with pytest.raises(GridPushError, match="pages: has no row"):
+        measure(tmp_path / "kept", minutes=0.0, pages=(str(pages),))
+    (pages / "index.md").write_text("Nothing is measured here.\n")
+    for name in ("one.md", "two.md"):
+        (pages / name).write_text("<!-- release: quick -->\nold\n<!-- release end -->\n")
+    measure(tmp_path / "kept", pages=(str(pages),))
+    assert (pages / "index.md").read_text() == "Nothing is measured here.\n"
+    assert (pages / "one.md").read_text() == (pages / "two.md").read_text()
+    assert "Doubled" in (pages / "one.md").read_text()
+
+
 def test_a_row_of_other_settings_is_begun_anew_only_if_forced(tmp_path, quick, monkeypatch):
     measure(tmp_path)
     monkeypatch.setitem(ROWS, "quick", ReleaseRow(QUICK.target, {"seed": 1}))

@@ -80,10 +80,9 @@ it has not compiled is compiled when it is first needed."""
 def compile_all() -> None:
     """Loads the kernels that commands need, and compiles those that are not in the cache."""
     with _working_apart(SECOND_PROCESS_CODE, needed=not is_compiled()) as processes:
-        compile_rollouts()
+        compile_rest()
         _wait_for(processes)
-    compile_contact_search()
-    compile_margins()
+    compile_apart()
 
 
 def is_rare_compiled() -> bool:

@@ -3,8 +3,8 @@
 The figure is the intersection over union (IoU) with the object's true mask. Two things tell most:
 whether a stricter threshold on what stands out from the table gives the same mask, and how much of
 the outline lies on an edge in the picture. A logistic function of both is the expected IoU. It was
-fitted to photographs of the generator's tuning half; docs/measurements.md has the figures on the
-other half. It takes 10 to 30 ms.
+fitted to photographs of the generator's tuning half; `docs/measurements/perception.md` has the
+figures on the other half. It takes 10 to 30 ms.
 """
 
 import cv2
