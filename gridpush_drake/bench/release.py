@@ -9,7 +9,8 @@ pages between two marks,
     (the row's tables, and what they were measured with)
     <!-- release end -->
 
-A row of which a result was made by other code than there is now says so by itself.
+A row of which a result was made by other code than there is now says so by itself. Comments and
+docstrings do not count.
 """
 
 import ast
@@ -418,10 +419,38 @@ def find_commit() -> str:
 
 @cache
 def hash_code(module: str) -> str:
-    """Hashes the code that a module of the package stands on (`list_code`), and all data."""
+    """Hashes the code that a module of the package stands on (`list_code`), and all data.
+
+    Comments and docstrings do not count, and nor does the layout of the lines.
+    """
     package = Path(str(files(PACKAGE)))
     paths = [*list_code(package, module).values(), *list_sources(package, DATA_SUFFIXES)]
-    return hash_files(package, paths)
+    return hash_files(package, paths, read_code)
+
+
+def read_code(path: Path) -> bytes:
+    """Reads a file; of one in Python, what is left without comments and docstrings."""
+    content = path.read_bytes()
+    return _keep_code(content) if path.suffix == ".py" else content
+
+
+@cache
+def _keep_code(content: bytes) -> bytes:
+    """Leaves comments and docstrings out of a file's content; all rows stand on many such files."""
+    tree = ast.parse(content)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = [each for each in node.body if not _is_docstring(each)]
+    return ast.unparse(tree).encode()
+
+
+def _is_docstring(node: ast.stmt) -> bool:
+    """Whether a statement is a text that is used for nothing."""
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
 
 
 def list_code(package: Path, module: str) -> dict[str, Path]:

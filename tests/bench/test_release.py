@@ -134,6 +134,8 @@ def test_the_hash_follows_whatever_a_bench_imports(tmp_path, monkeypatch):
     before = calc("gridpush_drake.top")
     (package / "other.py").write_text("y = 2\n")
     assert calc("gridpush_drake.top") == before
+    (package / "low.py").write_text('"""What is low."""\n\nx = 1  # m\n"""How low."""\n')
+    assert calc("gridpush_drake.top") == before
     (package / "low.py").write_text("x = 2\n")
     assert calc("gridpush_drake.top") != before
 
