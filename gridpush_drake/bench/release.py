@@ -245,9 +245,9 @@ class MeasuredRow:
     code: str
 
     @property
-    def is_changed(self) -> bool:
-        """Whether a result was made by other code than there is now."""
-        return any(stamp["code"] != self.code for stamp in self.stamps)
+    def old_count(self) -> int:
+        """Number of results that were made by other code than there is now."""
+        return sum(stamp["code"] != self.code for stamp in self.stamps)
 
     @property
     def commits(self) -> str:
@@ -264,7 +264,10 @@ class MeasuredRow:
             f"`{self.row.command}`: {len(self.stamps)} of {self.job_count} jobs, {when}, commit "
             f"{self.commits}."
         )
-        return said + (" **The code has changed since.**" if self.is_changed else "")
+        if self.old_count == 0:
+            return said
+        since = "" if self.old_count == len(self.stamps) else f" {self.old_count} of them"
+        return f"{said} **The code has changed since{since}.**"
 
     @cached_property
     def tables(self) -> list[Table]:
@@ -294,11 +297,11 @@ def measure(options: ReleaseOptions, report: Report | None) -> list[Table]:
             len(each.stamps),
             each.job_count,
             each.commits or "-",
-            "yes" if each.is_changed else "no",
+            each.old_count,
         ]
         for each in measured
     ]
-    columns = ("row", "jobs done", "jobs", "commits", "code changed since")
+    columns = ("row", "jobs done", "jobs", "commits", "of other code")
     return [
         Table("What the pages state", columns, rows),
         *(table for each in measured for table in each.tables),

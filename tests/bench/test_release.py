@@ -109,14 +109,21 @@ def test_the_command_runs_jobs_on_as_many_workers_as_asked(tmp_path, quick, monk
 
 
 def test_a_row_whose_code_changed_says_so_and_is_measured_anew_if_asked(tmp_path, quick):
+    page = tmp_path / "page.md"
+    page.write_text("<!-- release: quick -->\n<!-- release end -->\n")
     measure(tmp_path)
     file = tmp_path / "quick.jsonl"
     head, *lines = file.read_text().splitlines()
     old = [json.dumps(json.loads(line) | {"code": "0" * 12, "commit": "old"}) for line in lines]
     file.write_text("\n".join([head, *old, ""]))
-    assert measure(tmp_path)[0].rows[0][-2:] == ["old", "yes"]
-    renewed = measure(tmp_path, renew=True)[0].rows[0]
-    assert renewed[-1] == "no" and renewed[-2] != "old"
+    assert measure(tmp_path, pages=(str(page),))[0].rows[0][-2:] == ["old", 6]
+    assert "**The code has changed since.**" in page.read_text()
+    file.write_text("\n".join([head, *old[:2], *lines[2:], ""]))
+    assert measure(tmp_path, pages=(str(page),))[0].rows[0][-1] == 2
+    assert "**The code has changed since 2 of them.**" in page.read_text()
+    renewed = measure(tmp_path, renew=True, pages=(str(page),))[0].rows[0]
+    assert renewed[-1] == 0 and renewed[-2] != "old"
+    assert "has changed" not in page.read_text()
 
 
 def test_the_hash_follows_whatever_a_bench_imports(tmp_path, monkeypatch):
@@ -160,7 +167,7 @@ def test_whole_runs_stand_on_the_tasks_and_on_the_data():
 
 
 def test_a_row_says_how_to_measure_the_same():
-    assert ROWS["paths"].command == "gridpush bench feedback --kind path --runs 5 --seed 2000"
+    assert ROWS["paths"].command == "gridpush bench feedback --kind path --runs 15 --seed 2000"
     assert ROWS["unknown_inertia_camera"].command.endswith(
         "--objects toothpaste_tube --seeds 7 --seed 4000 --unknown-inertia --camera rgbd"
     )
