@@ -33,7 +33,7 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import write_whole
 from gridpush_drake.jobs.results import DATA_SUFFIXES, hash_content, list_sources, open_results
 from gridpush_drake.jobs.run import DEFAULT_WORKERS, Execution, Report, check_known, run_jobs
-from gridpush_drake.report.table import Table
+from gridpush_drake.report.table import Table, Value
 
 PACKAGE = "gridpush_drake"
 """Name of the package."""
@@ -291,14 +291,8 @@ def measure(options: ReleaseOptions, report: Report | None) -> list[Table]:
     measured = [_measure_row(name, options, end, report) for name in names]
     for page, text in pages.items():
         write_whole(page, write_into(text, measured), force=True)
-    rows = [
-        [
-            each.name,
-            len(each.stamps),
-            each.job_count,
-            each.commits or "-",
-            each.old_count,
-        ]
+    rows: list[list[Value]] = [
+        [each.name, len(each.stamps), each.job_count, each.commits or "-", each.old_count]
         for each in measured
     ]
     columns = ("row", "jobs done", "jobs", "commits", "of other code")
