@@ -69,7 +69,7 @@ class LearnJob:
 
 @dataclass(frozen=True)
 class LearnScore:
-    """What came of it.
+    """How well the models of several objects predict pushes that they were not learned from.
 
     Attributes:
         count: number of objects.

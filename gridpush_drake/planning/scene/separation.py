@@ -99,7 +99,7 @@ class SeparatePlanner:
         *,
         seed: int = 0,
     ) -> None:
-        """Takes what no push may do.
+        """Makes the planner.
 
         Args:
             objects: the objects.

@@ -102,11 +102,13 @@ class StablePush(NamedTuple):
     """One push of a path.
 
     Attributes:
-        grip: from where.
+        grip: where the pusher touches the object.
         push: the pusher's motion, which begins with a gap and closes it.
-        poses: (K, 3) of the object if it does not slip, X_WB, m and rad; the first one before it.
-        curvatures: (P,) of the path's pieces, 1/m, followed by S.
-        lengths: (P,) of them, m.
+        poses: (K, 3) poses of the object if it does not slip, X_WB, m and rad; the first one is
+            that before the push.
+        curvatures: (P,) curvatures of the arcs and lines along which the pusher's frame S goes,
+            1/m.
+        lengths: (P,) lengths of these arcs and lines, m.
     """
 
     grip: Grip
