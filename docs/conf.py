@@ -36,6 +36,7 @@ html_math_renderer = "mathml"  # drawn by the browser itself: no script, no netw
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
+smartquotes_action = "qe"  # "--" may be that of an option
 
 nb_execution_mode = "force"
 nb_execution_in_temp = True  # notebooks write files

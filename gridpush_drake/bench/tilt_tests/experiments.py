@@ -658,7 +658,7 @@ def tabulate(options: TiltTestBenchOptions, done: Done) -> list[Table]:
     tables = []
     scores = done.of(TILT_TEST_JOBS)
     if scores:
-        tables.append(tabulate_scores(scores, options.names))
+        tables += tabulate_scores(scores, options.names)
     stories = [score for scores in done.of(EDGE_TASK) for score in scores]
     if stories:
         tables.append(tabulate_stories(stories))
@@ -696,8 +696,8 @@ def tabulate_stories(stories: Sequence[EdgeScore]) -> Table:
     return Table.of(title, ("planner",), rows, columns, notes)
 
 
-def tabulate_scores(scores: Sequence[TiltTestScore], names: Sequence[str]) -> Table:
-    """Makes a row for each object, and one of all."""
+def tabulate_scores(scores: Sequence[TiltTestScore], names: Sequence[str]) -> list[Table]:
+    """Tabulates how objects were weighed and how well: a row for each object, and one of all."""
 
     def list_errors(some: Sequence[TiltTestScore], key: str) -> list[float]:
         """Lists magnitudes of the errors of those that could be weighed."""
@@ -715,12 +715,19 @@ def tabulate_scores(scores: Sequence[TiltTestScore], names: Sequence[str]) -> Ta
         """Makes the column of the median of the errors' magnitudes."""
         return lambda some: scale * float(np.median(list_errors(some, key) or np.nan))
 
-    columns: dict[str, Column] = {
+    work: dict[str, Column] = {
         "runs": len,
         "pushes": mean_of("pushes"),
         "slides": mean_of("slides"),
         "presses": mean_of("presses"),
+        "rocked": mean_of("rocked"),
+        "left out": mean_of("left_out"),
         "time, s": mean_of("time"),
+        "tilt, °": lambda some: DEG_PER_RAD * max(one.max_tilt for one in some),
+        "fell": count("fell"),
+        "contradicted": count("contradictory"),
+    }
+    errors: dict[str, Column] = {
         "mass, %": median("mass_error", 100),
         "within 3 %": fraction("mass_error", MASS_GOAL),
         "within 5 %": fraction("mass_error", ROUGH_MASS_GOAL),
@@ -732,31 +739,29 @@ def tabulate_scores(scores: Sequence[TiltTestScore], names: Sequence[str]) -> Ta
         "mass held": count("mass_holds"),
         "center held": count("center_holds"),
         "friction held": count("friction_holds"),
-        "rocked": mean_of("rocked"),
-        "left out": mean_of("left_out"),
-        "contradicted": count("contradictory"),
-        "tilt, °": lambda some: DEG_PER_RAD * max(one.max_tilt for one in some),
-        "fell": count("fell"),
     }
-    notes = (
+    work_notes = (
         f"Hidden: mass {MASS_RANGE[0]:g} to {MASS_RANGE[1]:g} kg, friction of each part "
         f"{FRICTION_RANGE[0]:g} to {FRICTION_RANGE[1]:g}. Nothing but the outline is told.",
         f"{CHECKED_PUSH_COUNTS[0]} to {CHECKED_PUSH_COUNTS[-1]} pushes with forces, then presses "
         "at the edge. "
         "Noise: 0.2 N in each sample of the force, 1 mm and 0.3° of each pose, 0.5 mm of the edge.",
         "pushes, slides, presses: means, where an object is laid elsewhere instead of being slid; "
-        "time: mean of what pushes and presses took; mass, center, friction: "
-        "medians of the errors; held: true values "
-        "within 95 % intervals (of the center, a region); tilt: the greatest.",
         "rocked, left out: means of the presses in which the object rocked on feet first, and of "
-        "those that do not count as tilts about the edge; contradicted: runs in which nothing is "
-        "stated.",
+        "those that do not count as tilts about the edge; time: mean of what pushes and presses "
+        "took; tilt: the greatest; contradicted: runs in which nothing is stated.",
         f"Greatest move by a press: {MM_PER_M * max(one.moved for one in scores):.2f} mm. Presses "
-        "that "
-        f"objects withstood: {calc_mean([one.no_tilt_count for one in scores]):.2f} a run.",
+        f"that objects withstood: {calc_mean([one.no_tilt_count for one in scores]):.2f} a run.",
+    )
+    error_notes = (
+        "mass, center, friction: medians of the errors; held: true values within 95 % intervals "
+        "(of the center, a region).",
     )
     rows = by_object(scores, names)
-    return Table.of("Weighed at the table's edge", ("object",), rows, columns, notes)
+    return [
+        Table.of("Weighed at the table's edge", ("object",), rows, work, work_notes),
+        Table.of("How well they were weighed", ("object",), rows, errors, error_notes),
+    ]
 
 
 TILT_TEST_JOBS = JobKind(
