@@ -43,10 +43,6 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 Functional = Callable[[Belief], Array]
 """Function that calculates F (m, n+1), the derivatives by z of what matters, for a belief."""
 
-Forecast = Callable[[Belief, Push, ArrayLike], float | None]
-"""Function that forecasts, for the poke that was chosen, the standard deviation that it leaves, m.
-It takes the belief, the poke and the object's pose (3,), and returns None where it cannot tell."""
-
 Cut = Callable[[Push], Push | None]
 """Function that shortens a poke to what is safe; it returns None where nothing of it is."""
 
@@ -87,14 +83,11 @@ class DesignedPokes:
         options: what pokes may be chosen from.
         functional: what matters; by default the center of friction.
         cut: shortens pokes to what is safe; None where all that the rules allow are.
-        forecast: says more exactly what the chosen poke is expected to leave; None for the first
-            order about the estimate, by which pokes are compared.
     """
 
     options: PokeOptions = field(default_factory=PokeOptions)
     functional: Functional = field(default=lambda belief: make_center_functional(belief))
     cut: Cut | None = None
-    forecast: Forecast | None = None
 
     def propose(self, belief: Belief, pose: ArrayLike, rules: PushConstraints) -> PokeProposal:
         """Proposes the next poke, see `PokeStrategy`.
@@ -114,9 +107,6 @@ class DesignedPokes:
             poke = pokes[index] if self.cut is None else self.cut(pokes[index])
             if poke is None or not rules.allows_push(poke):
                 continue
-            if self.forecast is not None:
-                imagined = self.forecast(belief, poke, pose)
-                expected = expected if imagined is None else imagined
             return PokeProposal(poke, std=std, expected_std=expected, candidates=len(pokes))
         return PokeProposal(None, "no poke is safe that the finger can make", candidates=len(pokes))
 

@@ -26,7 +26,6 @@ from shapely import Polygon
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, transform
@@ -157,6 +156,15 @@ class PreGraspPlanner:
             slides: number of slides made so far.
         """
         q = np.asarray(pose, dtype=np.float64)
+        decision = self._decide(q, model, pokes, slides)
+        if decision.action != "poke":
+            return decision
+        return self._say_forecast(
+            q, Belief.of_prior(self.obj) if model is None else model, decision
+        )
+
+    def _decide(self, q: Array, model: Belief | None, pokes: int, slides: int) -> PreGraspDecision:
+        """Decides; what a poke is expected to bring is known to first order only."""
         if model is None:
             prior = Belief.of_prior(self.obj)
             return self._poke(q, prior, None, pokes, "nothing is known of the object yet")
@@ -433,15 +441,9 @@ class PreGraspPlanner:
             finger_region=self.limits.finger_region,
             push_rule=self.limits.can_push,
         )
-        functional: Functional = make_center_functional
-        if direction is not None:
-            functional = partial(make_farthest_functional, direction=direction)
-
-        def forecast(belief: Belief, poke: Push, at: ArrayLike) -> float | None:
-            return forecast_std(model, poke, at, functional)
-
-        strategy = DesignedPokes(self.options.poke, functional, forecast=forecast)
-        return strategy.propose(model, pose, rules)
+        return DesignedPokes(self.options.poke, _choose_functional(direction)).propose(
+            model, pose, rules
+        )
 
     def _poke(
         self, pose: Array, model: Belief, best: PreGraspGoal | None, pokes: int, why: str
@@ -473,5 +475,24 @@ class PreGraspPlanner:
             )
             return PreGraspDecision("fail", reason, best)
         forecast = PokeForecast(best is not None, choice.std, choice.expected_std)
-        reason = f"{why}; {forecast.describe()}"
-        return PreGraspDecision("poke", reason, goal=best, push=choice.push, forecast=forecast)
+        return PreGraspDecision("poke", why, goal=best, push=choice.push, forecast=forecast)
+
+    def _say_forecast(
+        self, pose: Array, model: Belief, decision: PreGraspDecision
+    ) -> PreGraspDecision:
+        """Says what a poke that is made is expected to bring, which takes long to forecast."""
+        assert decision.push is not None and decision.forecast is not None
+        functional = _choose_functional(None if decision.goal is None else decision.goal.weakest)
+        expected = forecast_std(model, decision.push, pose, functional)
+        forecast = decision.forecast
+        if expected is not None:
+            forecast = replace(forecast, expected_std=expected)
+        reason = f"{decision.reason}; {forecast.describe()}"
+        return replace(decision, reason=reason, forecast=forecast)
+
+
+def _choose_functional(direction: ArrayLike | None) -> Functional:
+    """Chooses what a poke is to tell: how far the center can be in a direction, or the center."""
+    if direction is None:
+        return make_center_functional
+    return partial(make_farthest_functional, direction=direction)

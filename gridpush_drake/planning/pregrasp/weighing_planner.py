@@ -25,8 +25,6 @@ from math import ceil
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike
-from threadpoolctl import threadpool_limits
 
 from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
 from gridpush_drake.identification.absolute.estimate import LOG_MASS, AbsoluteEstimate
@@ -168,18 +166,13 @@ class TiltTestPlanner(PreGraspPlanner):
     is_short: bool = False
     stopped: str = ""
 
-    # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
-    @threadpool_limits.wrap(limits=1, user_api="blas")
-    def decide(
-        self, pose: ArrayLike, model: Belief | None, pokes: int = 0, slides: int = 0
-    ) -> PreGraspDecision:
-        """Decides what to do next; see `PreGraspPlanner.decide`."""
+    def _decide(self, q: Array, model: Belief | None, pokes: int, slides: int) -> PreGraspDecision:
+        """Decides as a `PreGraspPlanner`, or to weigh."""
         if self.stopped:
-            decision = super().decide(pose, model, pokes, slides)
+            decision = super()._decide(q, model, pokes, slides)
             return replace(decision, reason=f"{decision.reason}; {self.stopped}")
         if model is None or model.absolute is None or not self.may_weigh(model, pokes, slides):
-            return super().decide(pose, model, pokes, slides)
-        q = np.asarray(pose, dtype=np.float64)
+            return super()._decide(q, model, pokes, slides)
         known = (
             calc_normalized_uncertainty(model.absolute.covariance, self.weighing.sequence)
             <= ROUGH_UNCERTAINTY
@@ -189,7 +182,7 @@ class TiltTestPlanner(PreGraspPlanner):
             weighing = self._decide_to_weigh(q, model, may_slide)
             if weighing is not None:
                 return weighing
-        decision = super().decide(pose, model, pokes, slides)
+        decision = super()._decide(q, model, pokes, slides)
         if not may_slide:
             decision = _say_why_weighed_no_further(decision, model.absolute.presses, slides)
         safe = decision.action == "slide" and decision.margin >= self.weighing.trusted_margin

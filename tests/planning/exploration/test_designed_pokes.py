@@ -167,9 +167,6 @@ def test_the_next_best_poke_is_taken_where_the_best_is_not_safe_or_cannot_be_mad
     np.testing.assert_array_equal(proposal.push.xy, ranked[2].xy)
     safe = DesignedPokes(options, cut=lambda poke: None if is_one_of(poke, ranked[:1]) else poke)
     np.testing.assert_array_equal(safe.propose(model, HERE, rules).push.xy, ranked[2].xy)
-    # a better forecast takes the place of the first order
-    told = DesignedPokes(options, forecast=lambda belief, poke, pose: 0.123)
-    assert told.propose(model, HERE, rules).expected_std == 0.123
 
 
 def test_why_there_is_no_poke_is_said(model):
@@ -189,9 +186,8 @@ def test_why_there_is_no_poke_is_said(model):
 def test_about_half_of_all_pokes_leave_more_than_was_forecast():
     """To first order about the even object, a first poke leaves 3 to 10 times what it promises."""
     obj = GridObject.from_outline(claw_hammer(), max_cells=20, name="hammer")
-    prior = Belief.of_prior(obj)
     table = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
-    poke = PreGraspPlanner(obj, table).propose_poke(prior, HERE)
+    poke = PreGraspPlanner(obj, table).decide(HERE, None)
     forecasts = []
     ratios = []
     for seed in range(6):
@@ -206,12 +202,12 @@ def test_about_half_of_all_pokes_leave_more_than_was_forecast():
         )
         log = PushLog((replace(world.execute(poke.push), name="poke"),))
         model = Belief.of_identification(identify(Model(obj), log, regime="quasi_static"), log=log)
-        ratios.append(calc_center_std(model) / poke.expected_std)
+        ratios.append(calc_center_std(model) / poke.forecast.expected_std)
         if seed < 2:
             forecasts.append(forecast_std(model, poke.push, HERE, make_center_functional))
     assert 0.5 < np.median(ratios) < 2.0
     # the same poke made again leaves less, as the pushes so far count
-    assert max(forecasts) < poke.expected_std
+    assert max(forecasts) < poke.forecast.expected_std
 
 
 def test_there_is_no_forecast_without_the_pushes_that_were_learned_from(model, pokes):
