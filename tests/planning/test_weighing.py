@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from gridpush_drake.dynamics.physics import GRAVITY
-from gridpush_drake.geometry.se2 import transform, turn_left
+from gridpush_drake.geometry.se2 import transform, transform_back, turn_left
 from gridpush_drake.identification.absolute.estimate import LINE_DISTANCE
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.tilt_tests.weighed_model import believe_before, estimate_masses
@@ -24,6 +24,7 @@ from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.weighing_planner import (
+    REGION_ROOM,
     PressKind,
     TiltTestOptions,
     TiltTestPlanner,
@@ -33,7 +34,13 @@ from gridpush_drake.planning.pregrasp.weighing_planner import (
 )
 from gridpush_drake.planning.robot_status import PressStatus, PressStep, PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_placements, plan_press
+from gridpush_drake.planning.weighing.plan import (
+    AVOIDED_RADIUS,
+    Edge,
+    PressRules,
+    list_placements,
+    plan_press,
+)
 from gridpush_drake.planning.weighing.press import (
     Plateau,
     PressOptions,
@@ -706,6 +713,57 @@ def test_presses_that_weigh_nothing_suppose_a_heavier_object_and_end_at_last():
     assert stopped.reason == (
         f"{expected.reason}; 4 presses in a row weighed nothing, so that it is weighed no more"
     )
+
+
+@pytest.mark.parametrize("outcome", [PressOutcome.SLID, PressOutcome.MOVED])
+def test_where_an_object_slid_it_is_not_pressed_again(outcome):
+    loop, state = make_press_loop()
+    state = replace(state, press_pose=(0.4, 0.02, 0.3))
+    slid = PressStatus(PressStep.IDLE, 1, outcome, "it slid", False)
+    after = watch(loop, state, slid)
+    expected = transform_back(np.array(state.press_pose), np.array([TARGET.place]))
+    np.testing.assert_allclose(after.slid_places, expected)
+    # A press that weighs something changes nothing of that.
+    tilted = PressStatus(PressStep.IDLE, 1, PressOutcome.TILTED, "it tilts at 4.0 N", True)
+    assert watch(loop, after.turn_to("weighing", "Once more."), tilted).slid_places == (
+        after.slid_places
+    )
+    belief = believe_before(describe_prior(BAR))
+    assert loop._choose_planner(state)._make_rules(belief).avoided == ()
+    assert loop._choose_planner(after)._make_rules(belief).avoided == after.slid_places
+
+
+def test_a_press_keeps_away_from_where_the_object_slid():
+    pose = choose_rest().pose
+    first = plan_press(BAR, CENTERS, pose, EDGE, TOP)
+    avoided = tuple(map(tuple, transform_back(pose, np.array([first.target.place])).tolist()))
+    other = plan_press(BAR, CENTERS, pose, EDGE, TOP, PressRules(avoided=avoided))
+    distance = np.linalg.norm(np.subtract(other.target.place, first.target.place))
+    assert AVOIDED_RADIUS < distance < 2 * AVOIDED_RADIUS
+    assert other.relative_std > first.relative_std
+    # Wherever else it is laid, too.
+    for rest in list_placements(
+        BAR, CENTERS, EDGE.angle + 0.2, EDGE, TOP, PressRules(avoided=avoided)
+    ):
+        place = transform_back(rest.pose, np.array([rest.target.place]))
+        assert np.linalg.norm(place - avoided) > AVOIDED_RADIUS
+
+
+def test_an_object_that_left_the_finger_s_region_is_laid_within_it_again():
+    region = shapely.box(-0.2, -0.45, 0.3, 0.45)
+    planner = TiltTestPlanner(BAR, SURFACE, limits=ArmLimits(finger_region=region))
+    free = TiltTestPlanner(BAR, SURFACE)
+    (back,) = (edge for edge in list_edges(SURFACE) if edge.line.normal[1] > 0.9)
+    for x, expected in ((0.1, 0.1), (-0.3, -0.2 + REGION_ROOM), (0.4, 0.3 - REGION_ROOM)):
+        pose = np.array([x, 0.3, 0.5])
+        for asked, place in ((planner, expected), (free, np.clip(x, -0.35, 0.35))):
+            along = asked._choose_along(back, pose)
+            found = np.array(back.line.point) + along * back.line.tangent
+            np.testing.assert_allclose(found, [place, 0.4], atol=1e-12)
+    # An edge that the finger does not get to is as it was.
+    (right,) = (edge for edge in list_edges(SURFACE) if edge.line.normal[0] > 0.9)
+    pose = np.array([0.4, 0.1, 0.0])
+    assert planner._choose_along(right, pose) == free._choose_along(right, pose)
 
 
 def test_near_a_corner_of_the_table_nothing_is_pressed():

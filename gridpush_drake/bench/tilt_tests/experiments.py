@@ -39,7 +39,7 @@ from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.absolute.errors import compare_with_truth
 from gridpush_drake.identification.absolute.estimate import TiltingLine
 from gridpush_drake.identification.learning import identify
@@ -431,10 +431,12 @@ def weigh_at_edge(
     course = PressCourse(time=len(found.push_names) * PUSH_LENGTH / PUSH_SPEED)
     seen = np.array([*SCALE_TABLE.polygon.centroid.coords[0], 0.0])
     while planner.may_weigh(model, len(found.push_names), course.slides):
-        # As the robot does, it supposes a heavier object after each press that this one withstood.
+        # As the robot does, it supposes a heavier object after each press that this one withstood,
+        # and does not press again where it slid.
         supposing = planner
         for _ in range(course.no_tilts_in_a_row):
             supposing = supposing.suppose_heavier()
+        supposing = supposing.avoid(course.slid_places)
         may_slide = course.slides < planner.calc_slide_limit(model.presses)
         choice = next(supposing.plan_presses(seen, model, may_slide), None)
         if choice is None or course.failed_in_a_row >= MAX_FAILED_PRESSES:
@@ -454,6 +456,8 @@ def weigh_at_edge(
         # What was shifted by the press tells nothing of the weight.
         if has_slid(before, seen):
             weighing = None
+            x, y = transform_back(before, np.array([choice.here.target.place]))[0].tolist()
+            course = replace(course, slid_places=(*course.slid_places, (x, y)))
         course = course.note(press, weighing is not None)
         if press.max_tilt >= FALLEN_TILT:
             break
@@ -488,6 +492,7 @@ class PressCourse:
         no_tilt_count: number of them at which the object did not tilt up to the greatest force.
         no_tilts_in_a_row: number of those since the last press that weighed something.
         failed_in_a_row: number of presses since then.
+        slid_places: where on the object it was pressed and slid, body frame, m.
         time: how long all pushes and presses took, s.
         max_tilt: greatest true tilt, rad.
         moved: greatest distance that a press left the object from where it lay, m.
@@ -498,6 +503,7 @@ class PressCourse:
     no_tilt_count: int = 0
     no_tilts_in_a_row: int = 0
     failed_in_a_row: int = 0
+    slid_places: tuple[tuple[float, float], ...] = ()
     time: float = 0.0
     max_tilt: float = 0.0
     moved: float = 0.0

@@ -261,6 +261,10 @@ class PreGraspPlanner:
         """Makes a planner for an object that withstood a press; itself if it never presses."""
         return self
 
+    def avoid(self, places: Sequence[tuple[float, float]]) -> "PreGraspPlanner":
+        """Makes a planner that does not press where the object slid; itself if it never presses."""
+        return self
+
     def stop_weighing(self, why: str) -> "PreGraspPlanner":
         """Makes a planner that presses no more, and says why; itself if it never presses."""
         return self

@@ -31,8 +31,9 @@ the center of mass was weighed, slight surprises say nothing of it: then it only
 margin holds.
 
 It weighs only where its planner does (`weighing_planner`). An object that withstood a press is
-heavier than was supposed, and is pressed where less force would do. After several presses in a row
-that weighed nothing it is pressed no more, and the loop goes on with what is known.
+heavier than was supposed, and is pressed where less force would do. Where it slid under a press it
+is not pressed again. After several presses in a row that weighed nothing it is pressed no more, and
+the loop goes on with what is known.
 """
 
 from collections.abc import Callable
@@ -41,9 +42,11 @@ from enum import StrEnum
 from math import inf, nan
 from typing import Any
 
+import numpy as np
+
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.innovation import check_innovation
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.planning.belief import Belief
@@ -181,6 +184,9 @@ class PreGraspLoopOptions(LoopOptions):
     max_failed_presses: int = 4
 
 
+SLIPS = (PressOutcome.SLID, PressOutcome.MOVED)
+"""Outcomes of presses after which an object is not pressed at the same place again."""
+
 NO_PUSH = (
     PreGraspMode.STOPPING,
     PreGraspMode.WEIGHING,
@@ -209,6 +215,7 @@ class PreGraspState(LoopState):
         no_tilt_count: number of presses at which the object did not tilt, since the last one at
             which it did.
         failed_presses: number of presses in a row that weighed nothing.
+        slid_places: where on the object it was pressed and slid, body frame, m.
         edge_innovations: number of surprises so far with which the object came to hang over the
             edge.
         waits: number of times that the object was looked at anew since the last push, because a
@@ -228,6 +235,7 @@ class PreGraspState(LoopState):
     press_pose: Pose | None = None
     no_tilt_count: int = 0
     failed_presses: int = 0
+    slid_places: tuple[tuple[float, float], ...] = ()
     edge_innovations: int = 0
     waits: int = 0
     retreating: bool = False
@@ -510,7 +518,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             )
         for _ in range(now.no_tilt_count):
             planner = planner.suppose_heavier()
-        return planner
+        return planner.avoid(now.slid_places)
 
     def _push(
         self,
@@ -597,6 +605,10 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         failed = replace(now, failed_presses=now.failed_presses + 1)
         if presser.outcome == PressOutcome.TOO_HEAVY:
             failed = replace(failed, no_tilt_count=now.no_tilt_count + 1)
+        if presser.outcome in SLIPS:
+            assert now.press is not None and now.press_pose is not None
+            x, y = transform_back(np.array(now.press_pose), np.array([now.press.place]))[0].tolist()
+            failed = replace(failed, slid_places=(*now.slid_places, (x, y)))
         return failed.turn_to(WAITING_MODE, what)
 
     def _follow_grasp(self, now: PreGraspState, gripper: GraspStatus) -> PreGraspState:

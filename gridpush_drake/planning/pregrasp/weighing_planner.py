@@ -25,6 +25,7 @@ from math import ceil
 
 import numpy as np
 import shapely
+from shapely import LineString
 
 from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
 from gridpush_drake.identification.absolute.estimate import LOG_MASS, AbsoluteEstimate
@@ -115,6 +116,10 @@ SMALL_GAIN = 0.03
 """Fraction of what is open that a press must be expected to take away at least, where no press
 takes away `TiltTestOptions.min_gain` and mass or center are not even roughly known."""
 
+REGION_ROOM = 0.12
+"""How far within the ends of what the finger gets to of an edge the middle of an object is laid, m:
+it is pressed somewhat beside its middle."""
+
 MAX_PLACEMENTS = 6
 """Number of places to be weighed at that a slide may go to."""
 
@@ -157,6 +162,7 @@ class TiltTestPlanner(PreGraspPlanner):
             as after a press that the object withstood.
         is_narrow: whether it presses on parts that are narrower than the finger, too.
         is_short: whether it presses up to SHORT_ARM near to the edge.
+        avoided: places on the object at which it slid when it was pressed, body frame, m.
         stopped: why it weighs no more, in half a sentence; empty while it weighs.
     """
 
@@ -164,6 +170,7 @@ class TiltTestPlanner(PreGraspPlanner):
     mass_factor: float = 1.0
     is_narrow: bool = False
     is_short: bool = False
+    avoided: tuple[tuple[float, float], ...] = ()
     stopped: str = ""
 
     def _decide(self, q: Array, model: Belief | None, pokes: int, slides: int) -> PreGraspDecision:
@@ -368,6 +375,16 @@ class TiltTestPlanner(PreGraspPlanner):
         """
         return self._suppose(MASS_INCREASE)
 
+    def avoid(self, places: Sequence[tuple[float, float]]) -> "TiltTestPlanner":
+        """Makes a planner that does not press again where the object slid.
+
+        Args:
+            places: on the object, body frame, m.
+        """
+        other = copy(self)
+        other.avoided = (*self.avoided, *places)
+        return other
+
     def stop_weighing(self, why: str) -> "TiltTestPlanner":
         """Makes a planner that decides by what was weighed so far, and presses no more.
 
@@ -421,6 +438,7 @@ class TiltTestPlanner(PreGraspPlanner):
             rules,
             mass=mass * self.mass_factor,
             is_narrow=self.is_narrow,
+            avoided=self.avoided,
             min_arm=min(rules.min_arm, SHORT_ARM) if self.is_short else rules.min_arm,
         )
 
@@ -498,8 +516,7 @@ class TiltTestPlanner(PreGraspPlanner):
             # The object may also go over the edge as it lies.
             upright = float(wrap_angle(pose[2] - edge.line.angle))
             unturned = self._list_telling(upright, masses, belief, kinds)
-            along = float(edge.line.calc_along(pose[:2]))
-            along = float(np.clip(along, CORNER_ROOM, max(edge.length - CORNER_ROOM, CORNER_ROOM)))
+            along = self._choose_along(edge, pose)
             for planned, gain, trust in (*unturned, *telling):
                 if gain < self.weighing.min_gain:
                     continue
@@ -514,6 +531,23 @@ class TiltTestPlanner(PreGraspPlanner):
                 found.append(PressPlacement(moved, goal, gain, rate))
         found.sort(key=lambda one: -one.rate)
         return found
+
+    def _choose_along(self, edge: "TableEdge", pose: Array) -> float:
+        """Chooses where along an edge an object is laid, from the edge's corner, m.
+
+        It is as near as may be to where it is, but not at a corner, and where the finger gets: an
+        object that is slid along may have left the workspace.
+        """
+        low, high = CORNER_ROOM, edge.length - CORNER_ROOM
+        if self.limits.finger_region is not None:
+            begin = np.array(edge.line.point)
+            side = LineString([begin, begin + edge.length * edge.line.tangent])
+            reached = shapely.get_coordinates(side.intersection(self.limits.finger_region))
+            if len(reached):
+                along = edge.line.calc_along(reached)
+                low = max(low, float(along.min()) + REGION_ROOM)
+                high = min(high, float(along.max()) - REGION_ROOM)
+        return float(np.clip(edge.line.calc_along(pose[:2]), low, max(low, high)))
 
     def _list_telling(
         self,

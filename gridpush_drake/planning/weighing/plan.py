@@ -44,6 +44,9 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.pushes.weighings import EDGE_STD
 
+AVOIDED_RADIUS = 0.02
+"""Distance from a place on the object at which it slid within which it is pressed no more, m."""
+
 EDGE_LINE_HALF_LENGTH = 10.0
 """Half the length of the line that stands for an edge, m."""
 
@@ -67,6 +70,7 @@ class PressRules:
             need more than the greatest force.
         max_force: greatest force of a press, N.
         force_std: standard deviation of the force at the tilt, N.
+        avoided: places on the object at which it slid when it was pressed, body frame, m.
     """
 
     max_tilt: float = radians(5.0)
@@ -80,9 +84,11 @@ class PressRules:
     mass: float = 0.5
     max_force: float = 50.0
     force_std: float = 0.05
+    avoided: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        numbers = {name: value for name, value in vars(self).items() if name != "is_narrow"}
+        others = ("is_narrow", "avoided")
+        numbers = {name: value for name, value in vars(self).items() if name not in others}
         require_positive(PlanningError, "press: ", **numbers)
 
     @property
@@ -227,6 +233,10 @@ def _choose_place(
     if crossing is None:
         return None
     places = lying.places[edge.calc_beyond(lying.places) >= rules.min_arm]
+    if rules.avoided:
+        slid = transform(lying.pose, np.array(rules.avoided))
+        distances = np.linalg.norm(places[:, None] - slid, axis=2)
+        places = places[(distances > AVOIDED_RADIUS).all(axis=1)]
     places = places[_find_safe(places, c_W, crossing, edge, rules, is_robust)]
     if not len(places):
         return None
