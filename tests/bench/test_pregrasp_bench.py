@@ -21,7 +21,7 @@ from gridpush_drake.bench.pregrasp.sliding import (
 )
 from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoEdgeWorld, PreGraspOutcome
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.errors import GridPushError, PushError
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.model import Model
 from gridpush_drake.jobs.run import Execution
@@ -82,7 +82,9 @@ def test_a_body_in_mujoco_moves_alike_and_drops():
     truth = pregrasp.make_truth(obj, 0)
     body = MujocoEdgeWorld(Model(obj, truth), (0.3, 0.0, 0.0), make_table(0), support="half_height")
     model = EdgeWorld(Model(obj, replace(truth, push_height=0.015)), (0.3, 0.0, 0.0), make_table(0))
-    push = Push((0.19, 0.01), (0.03, 0.0), 1.5, 0.008)
+    with pytest.raises(PushError, match=f"expected that of the world's pusher, {body.radius:g} m"):
+        body.execute(Push((0.19, 0.01), (0.03, 0.0), 1.5, 0.008))
+    push = Push((0.188, 0.01), (0.03, 0.0), 1.5, body.radius)
     assert not body.execute(push).overhang
     model.execute(push)
     true, expected = body.truth.pose, model.truth.pose
@@ -93,8 +95,8 @@ def test_a_body_in_mujoco_moves_alike_and_drops():
     np.testing.assert_array_equal(body.truth.pose, true)  # to ask changes nothing
     for _ in range(6):
         x, y, theta = body.truth.pose
-        start = np.array([x, y]) - 0.108 * np.array([np.cos(theta), np.sin(theta)])
-        body.execute(Push(start, (0.05, 0.0), 1.0, 0.008))
+        start = np.array([x, y]) - 0.11 * np.array([np.cos(theta), np.sin(theta)])
+        body.execute(Push(start, (0.05, 0.0), 1.0, body.radius))
         if body.truth.fallen:
             break
     assert body.truth.fallen
@@ -112,7 +114,7 @@ def test_a_light_end_over_the_edge_rests_there_and_is_not_flung_up():
         np.zeros(3), make_table(0), seed=rng, support="three_feet",
     )  # fmt: skip
     world.put((0.14976997, -0.19900505, -3.48661867))
-    world.execute(Push((0.07897363, -0.16276592), (-0.01204642, -0.02747515), 5.0, 0.008))
+    world.execute(Push((0.07897363, -0.16276592), (-0.01204642, -0.02747515), 5.0, world.radius))
     motion = world.truth.motion
     feet = world.surface.signed_distances(transform(motion.poses[-1], world.body.feet[:3]))
     assert sorted(feet > 0) == [False, True, True]

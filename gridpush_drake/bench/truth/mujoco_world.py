@@ -282,16 +282,25 @@ class MujocoWorld(TrackedWorld):
         """Pushes the body from where it is, at rest, with this world's pusher.
 
         Raises:
-            PushError: the push is by a disc and the pusher another shape, or the other way round.
+            PushError: the pusher's radius is another, or one of both is a disc alone.
         """
-        if (push.shape is None) != (self.shape is None):
-            raise PushError("push: not by the pusher that the world has; expected the same one")
         motion = self._push(push)
         motion.poses[:, 2] = np.unwrap(np.append(pose[2], motion.poses[:, 2]))[1:]
         return motion
 
     def _push(self, push: Push) -> WorldMotion:
-        """Pushes the body; the angles are continuous, and the first is between -pi and pi."""
+        """Pushes the body; the angles are continuous, and the first is between -pi and pi.
+
+        Raises:
+            PushError: the pusher's radius is another, or one of both is a disc alone.
+        """
+        if (push.shape is None) != (self.shape is None):
+            raise PushError("push: not by the pusher that the world has; expected the same one")
+        if not np.isclose(push.radius, self.radius):
+            raise PushError(
+                f"push: the radius is {push.radius:g} m; "
+                f"expected that of the world's pusher, {self.radius:g} m"
+            )
         dt = self.body.time_step
         count = round(push.duration / dt)
         times = np.linspace(0.0, push.duration, count + 1)
