@@ -1,7 +1,8 @@
 """`gridpush bench grasp`: the whole story in the station.
 
 Objects are poked, slid to the table's edge, grasped, lifted and held. The runs are episodes of a
-campaign (`station.campaign.episodes`) with the shipped scenario.
+campaign (`station.campaign.episodes`) with a shipped scenario: `grasp`, or `grasp_unknown_inertia`
+where the robot is told nothing.
 """
 
 from collections.abc import Sequence
@@ -42,6 +43,9 @@ DEFAULT_SEED_COUNT = 3
 
 SCENARIO_NAME = "grasp"
 """Name of the shipped scenario of the episodes."""
+
+UNKNOWN_INERTIA_SCENARIO_NAME = "grasp_unknown_inertia"
+"""Name of that in which the robot is told neither mass nor friction, and either may be anything."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +90,9 @@ def make_jobs(options: GraspBenchOptions) -> list[EpisodeJob]:
         raise GridPushError("seeds: none; expected at least one")
     for name in options.names:
         find_shipped_object(name)
-    scenario = read_scenario(SCENARIO_NAME)
-    scenario.unknown_inertia = options.unknown_inertia
+    scenario = read_scenario(
+        UNKNOWN_INERTIA_SCENARIO_NAME if options.unknown_inertia else SCENARIO_NAME
+    )
     scenario.camera.use(options.camera)
     text = format_scenario(scenario)
     return [

@@ -1,9 +1,10 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.grasp import STUDY, tabulate, tabulate_episodes
+from gridpush_drake.bench.grasp import STUDY, GraspBenchOptions, tabulate, tabulate_episodes
 from gridpush_drake.bench.study import Done
 from gridpush_drake.cli.main import main
 from gridpush_drake.errors import GridPushError, ObjectError
@@ -13,10 +14,21 @@ from gridpush_drake.station.campaign.episodes import (
     EpisodeJob,
     EpisodeOutcome,
 )
+from gridpush_drake.station.schema.scenario_file import parse_scenario, read_scenario
 
 HELD = EpisodeOutcome(
     "pliers", 0, "held", "It was lifted.", "held", 6, 4, 2, 0.1, 0.002, 60.0, 30.0
 )
+
+
+def test_objects_of_which_nothing_is_told_are_those_of_the_shipped_scenario():
+    for unknown, name in ((False, "grasp"), (True, "grasp_unknown_inertia")):
+        job = STUDY.make_jobs(GraspBenchOptions(unknown_inertia=unknown))[0]
+        scenario = parse_scenario(Path("scenario.yaml"), job.scenario)
+        shipped = read_scenario(name)
+        assert scenario.unknown_inertia == unknown
+        assert (scenario.truth, scenario.pregrasp) == (shipped.truth, shipped.pregrasp)
+        assert scenario.truth.total_mass == ([0.1, 3.0] if unknown else None)
 
 
 def test_the_table_counts_what_happened():
