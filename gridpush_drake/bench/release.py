@@ -31,7 +31,7 @@ import numpy as np
 from gridpush_drake.bench.study import Done, Study, StudyOptions, option
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import write_whole
-from gridpush_drake.jobs.results import DATA_SUFFIXES, hash_content, list_sources, open_results
+from gridpush_drake.jobs.results import DATA_SUFFIXES, hash_files, list_sources, open_results
 from gridpush_drake.jobs.run import DEFAULT_WORKERS, Execution, Report, check_known, run_jobs
 from gridpush_drake.report.table import Table, Value
 
@@ -422,8 +422,7 @@ def hash_code(module: str) -> str:
     """
     package = Path(str(files(PACKAGE)))
     paths = [*list_code(package, module).values(), *list_sources(package, DATA_SUFFIXES)]
-    sums = [f"{path.relative_to(package)} {hash_content(read_code(path))}" for path in paths]
-    return hash_content("\n".join(sorted(sums)).encode())
+    return hash_files(package, paths, read_code)
 
 
 def read_code(path: Path) -> bytes:

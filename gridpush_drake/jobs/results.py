@@ -254,9 +254,17 @@ def list_sources(package: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
         yield from (Path(folder, name) for name in names if name.endswith(suffixes))
 
 
-def hash_files(package: Path, paths: Iterable[Path]) -> str:
-    """Hashes files of the package, with their places in it."""
-    sums = [f"{path.relative_to(package)} {hash_content(path.read_bytes())}" for path in paths]
+def hash_files(
+    package: Path, paths: Iterable[Path], read: Callable[[Path], bytes] = Path.read_bytes
+) -> str:
+    """Hashes files of the package, with their places in it.
+
+    Args:
+        package: the package's folder.
+        paths: the files.
+        read: reads what counts of a file; all of it by default.
+    """
+    sums = [f"{path.relative_to(package)} {hash_content(read(path))}" for path in paths]
     return hash_content("\n".join(sorted(sums)).encode())
 
 

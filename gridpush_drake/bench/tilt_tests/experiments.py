@@ -39,7 +39,7 @@ from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array, transform_back
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.absolute.errors import compare_with_truth
 from gridpush_drake.identification.absolute.estimate import TiltingLine
 from gridpush_drake.identification.learning import identify
@@ -456,8 +456,8 @@ def weigh_at_edge(
         # What was shifted by the press tells nothing of the weight.
         if has_slid(before, seen):
             weighing = None
-            x, y = transform_back(before, np.array([choice.here.target.place]))[0].tolist()
-            course = replace(course, slid_places=(*course.slid_places, (x, y)))
+            slid = choice.here.target.find_on(before)
+            course = replace(course, slid_places=(*course.slid_places, slid))
         course = course.note(press, weighing is not None)
         if press.max_tilt >= FALLEN_TILT:
             break

@@ -127,7 +127,7 @@ def compile_apart() -> None:
 
 
 def compile_rest() -> None:
-    """Compiles the third process's part: all that `compile_apart` leaves."""
+    """Compiles all that `compile_apart` leaves: the third process's part, or this one's."""
     compile_rollouts()
     compile_contact_search()
 

@@ -17,7 +17,7 @@ poses, and so plans a whole slide as one model predicts it. How a robot carries 
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 import shapely
@@ -159,15 +159,17 @@ class PreGraspPlanner:
         decision = self._decide(q, model, pokes, slides)
         if decision.action != "poke":
             return decision
-        return self._say_forecast(
-            q, Belief.of_prior(self.obj) if model is None else model, decision
-        )
+        return self._say_forecast(q, self._prior if model is None else model, decision)
+
+    @cached_property
+    def _prior(self) -> Belief:
+        """What is believed before any push."""
+        return Belief.of_prior(self.obj)
 
     def _decide(self, q: Array, model: Belief | None, pokes: int, slides: int) -> PreGraspDecision:
         """Decides; what a poke is expected to bring is known to first order only."""
         if model is None:
-            prior = Belief.of_prior(self.obj)
-            return self._poke(q, prior, None, pokes, "nothing is known of the object yet")
+            return self._poke(q, self._prior, None, pokes, "nothing is known of the object yet")
         # Narrow parts go first. The rim is for what can be taken by none of them.
         near = self._find_parts_near(model, self._calc_max_arm(model))
         decision = self._decide_with(near, q, model, pokes, slides)

@@ -42,11 +42,9 @@ from enum import StrEnum
 from math import inf, nan
 from typing import Any
 
-import numpy as np
-
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array, transform_back
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.innovation import check_innovation
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.planning.belief import Belief
@@ -607,8 +605,8 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             failed = replace(failed, no_tilt_count=now.no_tilt_count + 1)
         if presser.outcome in SLIPS:
             assert now.press is not None and now.press_pose is not None
-            x, y = transform_back(np.array(now.press_pose), np.array([now.press.place]))[0].tolist()
-            failed = replace(failed, slid_places=(*now.slid_places, (x, y)))
+            slid = now.press.find_on(now.press_pose)
+            failed = replace(failed, slid_places=(*now.slid_places, slid))
         return failed.turn_to(WAITING_MODE, what)
 
     def _follow_grasp(self, now: PreGraspState, gripper: GraspStatus) -> PreGraspState:

@@ -118,7 +118,7 @@ takes away `TiltTestOptions.min_gain` and mass or center are not even roughly kn
 
 REGION_ROOM = 0.12
 """How far within the ends of what the finger gets to of an edge the middle of an object is laid, m:
-it is pressed somewhat beside its middle."""
+it is pressed beside its middle, and the finger has to get round it to turn it."""
 
 MAX_PLACEMENTS = 6
 """Number of places to be weighed at that a slide may go to."""

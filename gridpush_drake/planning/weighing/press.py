@@ -41,7 +41,7 @@ the table: the press has ended as slid, and tells nothing of the weight.
 puts it between ports. Where it is safe to press is worked out in `plan`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import cos, inf, isfinite, radians, sin, sqrt, tan
@@ -50,7 +50,7 @@ import numpy as np
 
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.frozen import Unchanging
-from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.geometry.se2 import Array, transform_back, wrap_angle
 from gridpush_drake.identification.absolute.estimate import LINE_DISTANCE
 from gridpush_drake.pushes.weighings import FORCE_STD, TiltTest
 
@@ -240,6 +240,11 @@ class PressTarget:
     def calc_lever_arm(self, tip: Array) -> float:
         """Calculates how far beyond the edge a place (2,) or (3,) of the tip is, m."""
         return float(self.normal @ (tip[:2] - np.array(self.edge_point)))
+
+    def find_on(self, pose: Sequence[float] | Array) -> tuple[float, float]:
+        """Finds the place on an object at a pose (3,), in the object's body frame, m."""
+        x, y = transform_back(np.array(pose), np.array([self.place]))[0].tolist()
+        return x, y
 
 
 @dataclass(frozen=True, eq=False)
