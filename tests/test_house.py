@@ -39,6 +39,25 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "gridpush_drake"
 
+AT_THE_TOP = {
+    ".ci",
+    ".devcontainer",
+    ".dockerignore",
+    ".gitignore",
+    "CHANGELOG.md",
+    "CITATION.cff",
+    "CONTRIBUTING.md",
+    "LICENSE",
+    "README.md",
+    "docs",
+    "gridpush_drake",
+    "models",
+    "pyproject.toml",
+    "systems",
+    "tests",
+}
+"""What the repository holds at its top; no results of a bench or a demo."""
+
 MAX_ARGUMENTS = 7
 """Positional arguments of a call that a reader can tell apart."""
 
@@ -305,6 +324,13 @@ def names() -> dict[Path, Names]:
         classes = [node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
         found[path] = Names(classes, list(list_constants(tree)), set(list_names(tree)))
     return found
+
+
+def test_nothing_lies_at_the_top_that_does_not_belong_there():
+    done = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if done.returncode != 0:
+        pytest.skip(f"git does not say what belongs here: {done.stderr.strip()}")
+    assert {name.split("/")[0] for name in done.stdout.splitlines()} == AT_THE_TOP
 
 
 def test_no_folder_has_more_files_than_can_be_surveyed():
