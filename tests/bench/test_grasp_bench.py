@@ -4,7 +4,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.grasp import STUDY, GraspBenchOptions, tabulate, tabulate_episodes
+from gridpush_drake.bench.grasp import (
+    STUDY,
+    GraspBenchOptions,
+    GraspOutcome,
+    tabulate,
+    tabulate_episodes,
+)
 from gridpush_drake.bench.study import Done
 from gridpush_drake.cli.main import main
 from gridpush_drake.errors import GridPushError, ObjectError
@@ -12,13 +18,10 @@ from gridpush_drake.station.campaign.episodes import (
     DROPPED_OUTCOME,
     GAVE_UP,
     EpisodeJob,
-    EpisodeOutcome,
 )
 from gridpush_drake.station.schema.scenario_file import parse_scenario, read_scenario
 
-HELD = EpisodeOutcome(
-    "pliers", 0, "held", "It was lifted.", "held", 6, 4, 2, 0.1, 0.002, 60.0, 30.0
-)
+HELD = GraspOutcome("pliers", 0, "held", "It was lifted.", "held", 6, 4, 2, 0.1, 0.002, 60.0, 30.0)
 
 
 def test_objects_of_which_nothing_is_told_are_those_of_the_shipped_scenario():
@@ -29,6 +32,25 @@ def test_objects_of_which_nothing_is_told_are_those_of_the_shipped_scenario():
         assert scenario.unknown_inertia == unknown
         assert (scenario.truth, scenario.pregrasp) == (shipped.truth, shipped.pregrasp)
         assert scenario.truth.total_mass == ([0.1, 3.0] if unknown else None)
+
+
+def test_runs_differ_in_mass_where_it_is_drawn():
+    options = GraspBenchOptions(objects=("pliers", "claw_hammer"), seeds=3, seed=10)
+    seeds = [job.seed for job in STUDY.make_jobs(options)]
+    assert seeds == [10, 11, 12, 10, 11, 12]
+    jobs = STUDY.make_jobs(replace(options, unknown_inertia=True))
+    assert [job.object for job in jobs] == ["pliers"] * 3 + ["claw_hammer"] * 3
+    assert sorted(job.seed for job in jobs) == list(range(10, 16))
+
+
+def test_the_table_says_which_objects_could_be_held():
+    runs = [replace(HELD, could_be_held=True), replace(HELD, outcome=GAVE_UP, could_be_held=False)]
+    table = tabulate_episodes(runs, ["pliers"])
+    row = dict(zip(table.columns, table.rows[-1], strict=True))
+    assert (row["runs"], row["could be held"], row["held"]) == (2, 1, 1)
+    assert any("too heavy" in note for note in table.notes)
+    # of objects that were told there is nothing to say
+    assert "could be held" not in tabulate_episodes([HELD], ["pliers"]).columns
 
 
 def test_the_table_counts_what_happened():

@@ -1,11 +1,12 @@
 """The whole story in the full station: a robot, an object it knows nothing about, and a table's edge."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from gridpush_drake.errors import ScenarioError
+from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.parameters import CellParameters
@@ -41,6 +42,17 @@ def task():
     scenario = read_scenario(find_models() / "scenarios/grasp_heavy.yaml")
     scenario.object = "toolbox"
     return PreGraspTask(scenario)
+
+
+def test_says_whether_an_object_could_be_held(task, monkeypatch):
+    """Told of its masses and frictions, the planner sees a way for the toolbox, and none for one of lead."""
+    assert task.could_hold()
+    truth = task.station.truth
+    monkeypatch.setattr(task.station, "truth", replace(truth, mass=20.0 * truth.mass))
+    assert not task.could_hold()
+    monkeypatch.setattr(task.station, "truth", None)
+    with pytest.raises(StationError, match="nothing is simulated"):
+        task.could_hold()
 
 
 def test_a_toolbox_is_taken_by_its_handle_only_where_the_pads_hold_it_there(task):

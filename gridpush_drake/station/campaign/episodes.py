@@ -170,10 +170,7 @@ def run_episode(job: EpisodeJob) -> EpisodeOutcome:
     begin = perf_counter()
     recorder = RunRecorder() if job.recording else None
     try:
-        scenario = parse_scenario(Path("scenario.yaml"), job.scenario)
-        known_object = use_object(scenario, job.object)
-        scenario.seed = job.seed
-        task = TASK_KINDS[job.task].make_task(resolve(scenario, known_object=known_object))
+        task = make_episode_task(job)
         record = task.run(progress=_watch(task, recorder))
     except GridPushError as error:
         return _give_up(job, REFUSED_STATUS, str(error), perf_counter() - begin)
@@ -193,6 +190,18 @@ def run_episode(job: EpisodeJob) -> EpisodeOutcome:
     ends = {done: str(done), TaskStatus.DROPPED: DROPPED_OUTCOME, TaskStatus.NOT_LIFTED: NOT_LIFTED}
     outcome = DROPPED_OUTCOME if fell else ends.get(record.status, GAVE_UP)
     return _make_episode(job, record, outcome, perf_counter() - begin)
+
+
+def make_episode_task(job: EpisodeJob) -> StationTask[Any]:
+    """Makes the task of an episode, which `run_episode` runs.
+
+    Raises:
+        GridPushError: the scenario or the object is refused.
+    """
+    scenario = parse_scenario(Path("scenario.yaml"), job.scenario)
+    known_object = use_object(scenario, job.object)
+    scenario.seed = job.seed
+    return TASK_KINDS[job.task].make_task(resolve(scenario, known_object=known_object))
 
 
 def _give_up(job: EpisodeJob, status: str, message: str, wall: float) -> EpisodeOutcome:

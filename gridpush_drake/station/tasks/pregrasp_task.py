@@ -18,9 +18,11 @@ import shapely
 from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.errors import PlanningError, StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.exploration.designed_pokes import PokeOptions
 from gridpush_drake.planning.plausible_masses import PlausibleMassSet
@@ -297,6 +299,33 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             known = any(learned is one for one in record.estimates[-1:])
             if learned is not None and learned.push_names and not known:
                 record.estimates.append(learned)
+
+    def could_hold(self) -> bool:
+        """Says whether a robot that knew the object's masses and frictions would see a way to hold it.
+
+        It would if the planner, told of them, slides the object towards a goal from where it lies
+        at first.
+
+        Raises:
+            StationError: nobody knows the hidden masses, for nothing is simulated.
+        """
+        truth = self.station.truth
+        if truth is None:
+            raise StationError("nothing is simulated; expected a station whose truth is known")
+        prior = replace(self.obj.prior, total_mass=float(truth.mass.sum()))
+        told = replace(self.obj, prior=prior)
+        pads = self._finder.pads
+        finder = replace(self._finder, obj=told, pads=pads.gripper.limit_pads(told, pads.force))
+        knowing = PreGraspPlanner(
+            told,
+            self.surface,
+            self.planner.options,
+            limits=replace(self.planner.limits, can_grasp=finder.can_grasp),
+            obstacles=self.planner.obstacles,
+        )
+        known = Belief.of_parameters(Bodies(told, truth))
+        decision = knowing.decide(self.station.scenario.object_pose, known)
+        return decision.action in ("slide", "grasp")
 
     def _make_limits(self) -> ArmLimits:
         """Makes the limits of what the planner may ask of the arm."""
