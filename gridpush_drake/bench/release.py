@@ -53,6 +53,10 @@ LAZY_PLACE = re.compile(r"([\w.]+):\w+")
 DOTTED_NAME = re.compile(rf"{PACKAGE}(\.\w+)+")
 """Name of a package or module of the package."""
 
+NO_DEPENDENCY = f"{PACKAGE}.jobs"
+"""The part of the package that says where jobs are run and keeps their results; no result depends
+on it."""
+
 COMMIT_LENGTH = 8
 """Characters of a commit that are written."""
 
@@ -370,12 +374,9 @@ def _measure_row(
         # In any order, so that what is done of a row at any time stands for the whole.
         order = np.random.default_rng(chosen.seed).permutation(len(mine)).tolist()
         left = [mine[i] for i in order if i not in done]
-        batch = max(2 * options.workers, 1)
-        while left and monotonic() < end:
-            shown = _count_from(report, name, len(mine) - len(left), len(mine))
-            execution = Execution(options.workers, shown, results)
-            run_jobs(kind.run, left[:batch], kind.describe, execution)
-            left = left[batch:]
+        shown = _count_from(report, name, len(mine) - len(left), len(mine))
+        execution = Execution(options.workers, shown, results, begin_until=end)
+        run_jobs(kind.run, left, kind.describe, execution)
         pairs += [(mine[i], result) for i, result in results.find(kind.run, mine).items()]
     return MeasuredRow(
         name=name,
@@ -453,6 +454,8 @@ def _is_docstring(node: ast.stmt) -> bool:
 def list_code(package: Path, module: str) -> dict[str, Path]:
     """Finds the files of a module, of all modules that it imports, which these import, and so on.
 
+    `NO_DEPENDENCY` is left out.
+
     Returns:
         The files by the modules' names.
     """
@@ -461,7 +464,7 @@ def list_code(package: Path, module: str) -> dict[str, Path]:
     while todo:
         name = todo.pop()
         path = _find_file(package, name)
-        if path is not None and name not in known:
+        if path is not None and name not in known and not name.startswith(NO_DEPENDENCY):
             known[name] = path
             todo += list_imports(path)
     return known

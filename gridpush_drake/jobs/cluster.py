@@ -9,7 +9,7 @@ thread each is best.
 
 import logging
 import socket
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from queue import Empty, Queue
@@ -93,9 +93,11 @@ class DaskCluster:
         self._client = client
 
     def run(
-        self, function: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]
+        self, function: Callable[[Any], Any], jobs: Iterable[tuple[int, Any]]
     ) -> Iterator[Found]:
         """Runs a function on numbered jobs; see `Executor.run`.
+
+        The scheduler gets all of them at once.
 
         Raises:
             LostJobsError: jobs lost more workers than the cluster allows, which is said when all
@@ -106,13 +108,15 @@ class DaskCluster:
 
         done: Queue[Future] = Queue()
         program = hash_sources()
-        futures = [self._client.submit(_do, function, job, program, pure=False) for _, job in jobs]
-        numbers = {future.key: i for future, (i, _) in zip(futures, jobs, strict=True)}
-        for future in futures:
+        futures = {
+            i: self._client.submit(_do, function, job, program, pure=False) for i, job in jobs
+        }
+        numbers = {future.key: i for i, future in futures.items()}
+        for future in futures.values():
             future.add_done_callback(done.put)
         given_up = list[int]()
         why = ""
-        for _ in jobs:
+        for _ in numbers:
             while True:
                 try:
                     future = done.get(timeout=REPORT_EVERY)

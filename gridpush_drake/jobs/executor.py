@@ -1,6 +1,6 @@
 """What runs jobs somewhere else than in this thread, and how it says that jobs were lost."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Protocol
 
 from gridpush_drake.errors import GridPushError
@@ -19,13 +19,13 @@ class Executor(Protocol):
     """What runs jobs somewhere else than in this thread: worker processes, or a cluster."""
 
     def run(
-        self, function: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]
+        self, function: Callable[[Any], Any], jobs: Iterable[tuple[int, Any]]
     ) -> Iterator[Found]:
         """Runs a function on numbered jobs.
 
         Args:
             function: does a job.
-            jobs: number of each job, and the job.
+            jobs: number of each job, and the job; each is asked for when it can be begun.
 
         Yields:
             Number and result of each job, as they come, and None after every REPORT_EVERY without.

@@ -10,7 +10,7 @@ ended with, and would be needed by everybody who runs a bench.
 import signal
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -37,26 +37,26 @@ class LocalPool:
         self.workers = workers
 
     def run(
-        self, function: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]
+        self, function: Callable[[Any], Any], jobs: Iterable[tuple[int, Any]]
     ) -> Iterator[Found]:
         """Runs a function on numbered jobs; see `Executor.run`."""
-        waiting = deque(jobs)
+        coming = iter(jobs)
+        again: deque[tuple[int, Any]] = deque()
         lost = Counter[int]()
         idle: list[Connection] = []
         busy: dict[Connection, tuple[int, Any]] = {}
         given_up: list[int] = []
         code: int | None = None
         with _Workers(function) as pool:
-            while waiting or busy:
-                # Every worker that has nothing to do gets a job; one that ended meanwhile is
-                # forgotten, and another one started.
-                while waiting and len(busy) < self.workers:
-                    connection = idle.pop() if idle else pool.start()
-                    try:
-                        connection.send(waiting[0][1])
-                        busy[connection] = waiting.popleft()
-                    except ConnectionError:
-                        pool.drop(connection)
+            while True:
+                # Every worker that has nothing to do gets a job; those that lost theirs come last.
+                while len(busy) < self.workers:
+                    given = next(coming, None) or (again.popleft() if again else None)
+                    if given is None:
+                        break
+                    busy[pool.give(given[1], idle)] = given
+                if not busy:
+                    break
 
                 ready = wait(list(busy), REPORT_EVERY)
                 if not ready:
@@ -71,7 +71,7 @@ class LocalPool:
                         code = pool.drop(connection)
                         lost[i] += 1
                         if lost[i] < MAX_LOST:
-                            waiting.append((i, job))
+                            again.append((i, job))
                         else:
                             given_up.append(i)
                         continue
@@ -128,6 +128,19 @@ class _Workers:
             there.close()
             self._workers[here] = process
         return here
+
+    def give(self, job: Any, idle: list[Connection]) -> Connection:
+        """Gives a job to an idle worker, or to a new one; returns the pipe to it.
+
+        Idle workers that ended meanwhile are forgotten.
+        """
+        while True:
+            connection = idle.pop() if idle else self.start()
+            try:
+                connection.send(job)
+                return connection
+            except ConnectionError:
+                self.drop(connection)
 
     def drop(self, connection: Connection) -> int | None:
         """Forgets a worker that has ended; returns its exit code."""

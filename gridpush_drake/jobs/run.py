@@ -6,7 +6,8 @@ or `jobs.cluster.DaskCluster`. Results are kept, and found again, in `jobs.resul
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, takewhile
+from time import monotonic
 from typing import TypeVar
 
 from gridpush_drake.errors import GridPushError
@@ -35,6 +36,8 @@ class Execution:
         results: where results are kept, and found again; None keeps none.
         prepare: called before the first job, if there is any to do; None calls nothing.
         executor: runs the jobs instead of worker processes here; None for those.
+        begin_until: time of the monotonic clock, s, after which no job is begun; None for no such
+            time.
     """
 
     workers: int = DEFAULT_WORKERS
@@ -42,6 +45,7 @@ class Execution:
     results: Results | None = None
     prepare: Callable[[], None] | None = None
     executor: Executor | None = None
+    begin_until: float | None = None
 
 
 QUIET_EXECUTION = Execution()
@@ -63,7 +67,8 @@ def run_jobs(
         execution: how the jobs are run.
 
     Returns:
-        The results in the jobs' order, which does not depend on the workers.
+        The results in the jobs' order, which does not depend on the workers; without those of jobs
+        that were not begun, if `execution` has an end.
 
     Raises:
         GridPushError: a job lost MAX_LOST workers, which is said when all others are done, or the
@@ -91,7 +96,7 @@ def run_jobs(
         raise GridPushError(
             f"{names}: ended {MAX_LOST} workers without an answer, {lost.why}"
         ) from lost
-    return [done[i] for i in range(len(jobs))]
+    return [done[i] for i in sorted(done)]
 
 
 def check_known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
@@ -127,9 +132,11 @@ def _run(
     """Runs a function on numbered jobs, by what an execution says; see `Executor.run`."""
     if not jobs:
         return
+    end = execution.begin_until
+    begun = jobs if end is None else takewhile(lambda _: monotonic() < end, jobs)
     if execution.executor is not None:
-        yield from execution.executor.run(function, jobs)
+        yield from execution.executor.run(function, begun)
     elif execution.workers == 0:
-        yield from ((i, function(job)) for i, job in jobs)
+        yield from ((i, function(job)) for i, job in begun)
     else:
-        yield from LocalPool(execution.workers).run(function, jobs)
+        yield from LocalPool(execution.workers).run(function, begun)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.jobs.local_pool import LocalPool
 from gridpush_drake.jobs.results import open_results
 from gridpush_drake.jobs.run import Execution, check_known, run_jobs
 
@@ -90,6 +91,38 @@ def test_results_are_in_the_jobs_order_and_reported(tmp_path, workers):
     assert told[0] == ("", 0, 5)
     assert [done for _, done, _ in told if done] == sorted(done for _, done, _ in told if done)
     assert told[-1][1:] == (5, 5)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_no_job_is_begun_once_time_is_up(tmp_path, workers):
+    ended = Execution(workers, begin_until=time.monotonic())
+    assert run_jobs(double, make_jobs(tmp_path, range(3)), describe, ended) == []
+    assert not (tmp_path / "runs").exists()
+    # What was begun is done.
+    results = open_results(tmp_path / "kept.jsonl", "double", {})
+    soon = Execution(workers, results=results, begin_until=time.monotonic() + 3600)
+    found = run_jobs(double, make_jobs(tmp_path, range(3)), describe, soon)
+    assert [one[0].double for one in found] == [0, 2, 4]
+
+
+def test_jobs_are_asked_for_one_by_one(tmp_path):
+    """So that time may run out while others are done."""
+    pool = LocalPool(1)
+    asked = []
+
+    def list_jobs():
+        for number in range(3):
+            asked.append(number)
+            yield number, Job(number, tmp_path)
+
+    answers = [found for found in pool.run(double, list_jobs()) if found is not None]
+    assert [number for number, _ in answers] == [0, 1, 2] == asked
+    slow = pool.run(double, list_jobs())
+    asked.clear()
+    while next(slow) is None:
+        pass
+    assert asked == [0]
+    slow.close()
 
 
 @pytest.mark.parametrize(

@@ -161,7 +161,9 @@ def test_whole_runs_stand_on_the_tasks_and_on_the_data():
     # The table of tasks names what it imports only when it is asked for.
     assert "gridpush_drake.station.tasks.pregrasp_task" in code
     assert "gridpush_drake.systems.execution.push_executor" in code
+    # Where jobs are run changes no result.
     assert "gridpush_drake.cli.main" not in code
+    assert "gridpush_drake.jobs.run" not in code
     data = set(list_sources(PACKAGE, DATA_SUFFIXES))
     assert PACKAGE / "models" / "scenarios" / "grasp.yaml" in data
 
