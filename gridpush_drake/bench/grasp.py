@@ -82,7 +82,7 @@ class GraspBenchOptions(StudyOptions):
 
 
 @dataclass(frozen=True)
-class GraspOutcome(EpisodeOutcome):
+class GraspEpisode(EpisodeOutcome):
     """What came of a run, and what could have come of it.
 
     Attributes:
@@ -93,9 +93,9 @@ class GraspOutcome(EpisodeOutcome):
     could_be_held: bool | None = None
 
 
-def run_grasp(job: EpisodeJob) -> GraspOutcome:
+def run_grasp(job: EpisodeJob) -> GraspEpisode:
     """Runs an episode, and says whether its object could be held."""
-    outcome = GraspOutcome(**vars(run_episode(job)))
+    outcome = GraspEpisode(**vars(run_episode(job)))
     if outcome.status in (REFUSED_STATUS, BROKEN_STATUS):
         return outcome
     task = make_episode_task(job)
@@ -147,7 +147,7 @@ def tabulate(options: GraspBenchOptions, done: Done) -> list[Table]:
     ]
 
 
-def tabulate_episodes(episodes: Sequence[GraspOutcome], objects: Sequence[str]) -> Table:
+def tabulate_episodes(episodes: Sequence[GraspEpisode], objects: Sequence[str]) -> Table:
     """Makes a row for each object, one of all, and a note for each run that did not end well."""
     held = str(TaskStatus.HELD)
     asked = any(run.could_be_held is not None for run in episodes)
@@ -190,7 +190,7 @@ def tabulate_episodes(episodes: Sequence[GraspOutcome], objects: Sequence[str]) 
     return Table.of(title, ("object",), by_object(episodes, objects, key="object"), columns, notes)
 
 
-def tabulate_learned(episodes: Sequence[GraspOutcome], objects: Sequence[str]) -> Table:
+def tabulate_learned(episodes: Sequence[GraspEpisode], objects: Sequence[str]) -> Table:
     """Makes a row for each object and one of all: errors at the end, and intervals that hold."""
     columns = {
         "runs": len,

@@ -7,7 +7,7 @@ import pytest
 from gridpush_drake.bench.grasp import (
     STUDY,
     GraspBenchOptions,
-    GraspOutcome,
+    GraspEpisode,
     tabulate,
     tabulate_episodes,
 )
@@ -21,7 +21,7 @@ from gridpush_drake.station.campaign.episodes import (
 )
 from gridpush_drake.station.schema.scenario_file import parse_scenario, read_scenario
 
-HELD = GraspOutcome("pliers", 0, "held", "It was lifted.", "held", 6, 4, 2, 0.1, 0.002, 60.0, 30.0)
+HELD = GraspEpisode("pliers", 0, "held", "It was lifted.", "held", 6, 4, 2, 0.1, 0.002, 60.0, 30.0)
 
 
 def test_objects_of_which_nothing_is_told_are_those_of_the_shipped_scenario():

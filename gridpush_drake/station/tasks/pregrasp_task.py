@@ -301,10 +301,10 @@ class PreGraspTask(StationTask[PreGraspRecord]):
                 record.estimates.append(learned)
 
     def could_hold(self) -> bool:
-        """Says whether a robot that knew the object's masses and frictions would see a way to hold it.
+        """Says whether a robot that knew masses and frictions would see a way to hold the object.
 
-        It would if the planner, told of them, slides the object towards a goal from where it lies
-        at first.
+        It would if the planner, given them, slides the object towards a goal from where it lies at
+        first.
 
         Raises:
             StationError: nobody knows the hidden masses, for nothing is simulated.
@@ -313,18 +313,18 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         if truth is None:
             raise StationError("nothing is simulated; expected a station whose truth is known")
         prior = replace(self.obj.prior, total_mass=float(truth.mass.sum()))
-        told = replace(self.obj, prior=prior)
+        obj = replace(self.obj, prior=prior)
         pads = self._finder.pads
-        finder = replace(self._finder, obj=told, pads=pads.gripper.limit_pads(told, pads.force))
+        finder = replace(self._finder, obj=obj, pads=pads.gripper.limit_pads(obj, pads.force))
         knowing = PreGraspPlanner(
-            told,
+            obj,
             self.surface,
             self.planner.options,
             limits=replace(self.planner.limits, can_grasp=finder.can_grasp),
             obstacles=self.planner.obstacles,
         )
-        known = Belief.of_parameters(Bodies(told, truth))
-        decision = knowing.decide(self.station.scenario.object_pose, known)
+        belief = Belief.of_parameters(Bodies(obj, truth))
+        decision = knowing.decide(self.station.scenario.object_pose, belief)
         return decision.action in ("slide", "grasp")
 
     def _make_limits(self) -> ArmLimits:
