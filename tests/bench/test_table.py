@@ -14,7 +14,6 @@ from gridpush_drake.bench.worlds import plant
 from gridpush_drake.identification.methods import METHOD_NAMES
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.report.table import Mean, Table
-from gridpush_drake.station.campaign.episodes import EpisodeOutcome
 
 TABLE = Table(
     "One push",
@@ -145,7 +144,10 @@ def make_pregrasp_tables():
         for name, aim, distance in product(NAMES, AIM_NAMES, POKE_LENGTHS)
     ]
     grasps = [
-        EpisodeOutcome(name, 0, "dropped", "It fell.", "dropped", 5, 3, 2, 0.1, 0.2, 123.4, 234.5)
+        grasp.GraspEpisode(
+            *(name, 0, "dropped", "It fell.", "dropped", 5, 3, 2, 0.1, 0.2, 123.4, 234.5),
+            could_be_held=True,
+        )
         for name in NAMES
     ]
     return [
