@@ -11,6 +11,7 @@ planner, told the hidden masses and frictions, sees a way to hold the object fro
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -38,7 +39,11 @@ from gridpush_drake.station.campaign.episodes import (
     run_episode,
 )
 from gridpush_drake.station.schema.camera_config import CameraKind
-from gridpush_drake.station.schema.scenario_file import format_scenario, read_scenario
+from gridpush_drake.station.schema.scenario_file import (
+    format_scenario,
+    parse_scenario,
+    read_scenario,
+)
 from gridpush_drake.station.tasks.pregrasp_task import PreGraspTask
 from gridpush_drake.station.tasks.task import TaskStatus
 from gridpush_drake.units import MM_PER_M, PERCENT_PER_ONE
@@ -98,10 +103,11 @@ def run_grasp(job: EpisodeJob) -> GraspEpisode:
     outcome = GraspEpisode(**vars(run_episode(job)))
     if outcome.status in (REFUSED_STATUS, BROKEN_STATUS):
         return outcome
+    # To make a station takes seconds.
+    if not parse_scenario(Path("scenario.yaml"), job.scenario).unknown_inertia:
+        return outcome
     task = make_episode_task(job)
     assert isinstance(task, PreGraspTask)
-    if not task.station.scenario.unknown_inertia:
-        return outcome
     return replace(outcome, could_be_held=task.could_hold())
 
 
@@ -190,7 +196,7 @@ def tabulate_episodes(episodes: Sequence[GraspEpisode], objects: Sequence[str]) 
     return Table.of(title, ("object",), by_object(episodes, objects, key="object"), columns, notes)
 
 
-def tabulate_learned(episodes: Sequence[GraspEpisode], objects: Sequence[str]) -> Table:
+def tabulate_learned(episodes: Sequence[EpisodeOutcome], objects: Sequence[str]) -> Table:
     """Makes a row for each object and one of all: errors at the end, and intervals that hold."""
     columns = {
         "runs": len,

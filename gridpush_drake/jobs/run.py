@@ -7,6 +7,7 @@ or `jobs.cluster.DaskCluster`. Results are kept, and found again, in `jobs.resul
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, takewhile
+from math import inf
 from time import monotonic
 from typing import TypeVar
 
@@ -36,8 +37,7 @@ class Execution:
         results: where results are kept, and found again; None keeps none.
         prepare: called before the first job, if there is any to do; None calls nothing.
         executor: runs the jobs instead of worker processes here; None for those.
-        begin_until: time of the monotonic clock, s, after which no job is begun; None for no such
-            time.
+        begin_until: time of the monotonic clock, s, after which no job is begun.
     """
 
     workers: int = DEFAULT_WORKERS
@@ -45,7 +45,7 @@ class Execution:
     results: Results | None = None
     prepare: Callable[[], None] | None = None
     executor: Executor | None = None
-    begin_until: float | None = None
+    begin_until: float = inf
 
 
 QUIET_EXECUTION = Execution()
@@ -132,8 +132,7 @@ def _run(
     """Runs a function on numbered jobs, by what an execution says; see `Executor.run`."""
     if not jobs:
         return
-    end = execution.begin_until
-    begun = jobs if end is None else takewhile(lambda _: monotonic() < end, jobs)
+    begun = takewhile(lambda _: monotonic() < execution.begin_until, jobs)
     if execution.executor is not None:
         yield from execution.executor.run(function, begun)
     elif execution.workers == 0:

@@ -320,6 +320,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             obj,
             self.surface,
             self.planner.options,
+            self.planner.parts,
             limits=replace(self.planner.limits, can_grasp=finder.can_grasp),
             obstacles=self.planner.obstacles,
         )
