@@ -346,8 +346,9 @@ def test_a_recording_that_cannot_be_written_ends_the_campaign(tmp_path):
 def test_what_ends_every_worker_is_named_when_the_rest_is_done(tmp_path):
     class Losing(Instead):
         def run(self, function, jobs):
-            yield from super().run(function, jobs[1:])
-            raise LostJobsError([jobs[0][0]], "exit code -9")
+            lost, *others = jobs
+            yield from super().run(function, others)
+            raise LostJobsError([lost[0]], "exit code -9")
 
     with pytest.raises(
         GridPushError, match="pliers, seed 0: ended 3 workers without an answer, exit code -9"
