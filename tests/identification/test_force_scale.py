@@ -3,11 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.physics import GRAVITY
+from gridpush_drake.dynamics.physics import GRAVITY, Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushLogWarning
-from gridpush_drake.identification.absolute.force_scale import _average, calc_force_scale
+from gridpush_drake.identification.absolute.force_scale import (
+    _average,
+    calc_force_scale,
+    measure_pushes,
+)
+from gridpush_drake.identification.absolute.masses import make_absolute_parameters
 from gridpush_drake.identification.identifiability import (
     _calc_box_of_known_scale,
     calc_center_of_mass_box,
@@ -16,15 +21,18 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.identification.statistics.posterior import Posterior
+from gridpush_drake.identification.statistics.problem import TimedPush
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from tests.helpers.shared_data import read_cmu
 from tests.identification.simulated_pokes import make_pokes
 
 RECTANGLE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
 FRICTION = (0.25, 0.5)
 MASS = 0.8
+TABLE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 def make_case(total_mass: float | None = None) -> tuple[GridObject, CellParameters]:
@@ -181,15 +189,77 @@ def test_the_weight_that_the_finger_carries_does_not_rub(fraction: float) -> Non
 
 def test_pushes_with_noisy_forces_count_less() -> None:
     scales = np.array([1.0, 1.02, 0.98, 1.6])
-    mean, variance = _average(scales, np.array([0.02, 0.02, 0.02, 0.6]))
-    alike, of_alike = _average(scales, np.zeros(4))
+    on_table = np.zeros(4)
+    mean, variance = _average(scales, np.array([0.02, 0.02, 0.02, 0.6]), on_table)
+    alike, of_alike = _average(scales, np.zeros(4), on_table)
     assert abs(mean - 1) < 0.03 < abs(alike - 1)
     assert variance < of_alike
     # Noise that is known is no spread of the table's friction.
     rng = np.random.default_rng(0)
-    noisy, of_noisy = _average(1 + 0.2 * rng.standard_normal(400), np.full(400, 0.2))
+    noisy, of_noisy = _average(1 + 0.2 * rng.standard_normal(400), np.full(400, 0.2), np.zeros(400))
     assert abs(noisy - 1) < 0.03
     assert 0.005 < np.sqrt(of_noisy) < 0.013
+
+
+def push_over_the_edge(
+    obj: GridObject, truth: CellParameters, rng: np.random.Generator, count: int
+) -> PushLog:
+    """Pushes with forces: three with the whole object on the table, and then others beyond it."""
+    pushes: list[ObservedPush] = []
+    while len(pushes) < count:
+        on_table = len(pushes) < 3
+        pose = np.array([0.0 if on_table else 0.44, 0.0, rng.uniform(-0.5, 0.5)])
+        push = Push.on_outline(
+            obj, rng.uniform(0, obj.edges.perimeter), 0.0, 0.04, radius=0.01, speed=0.02, pose=pose
+        )
+        times = make_path_times(push, "quasi_static")
+        motion = simulate(
+            Model(obj, truth), push, pose, regime="quasi_static", times=times, table=TABLE
+        )
+        beyond = np.mean(obj.cells_at(motion.final_pose)[:, 0] > TABLE[1, 0])
+        still = np.linalg.norm(motion.final_pose - pose) < 0.02
+        if motion.status != "ok" or still or (not on_table and beyond < 0.1):
+            continue
+        pushes.append(
+            ObservedPush(
+                name=f"push_{len(pushes)}",
+                push=push,
+                pose=pose,
+                t_observed=times[-1:],
+                poses_observed=motion.final_pose[None],
+                force_t=times[:-1],
+                force=motion.contact_forces.sum(axis=1),
+            )
+        )
+    return PushLog(tuple(pushes), table=TABLE)
+
+
+def test_pushes_over_the_edge_share_an_error() -> None:
+    """The model has the true loads and center of mass, and not how friction is spread."""
+    obj, _ = make_case()
+    rng = np.random.default_rng(1)
+    off = {True: [], False: []}
+    for _ in range(12):
+        rough = obj.p_BC[:, 0] > rng.uniform(-0.03, 0.03)
+        friction = np.where(rough, *rng.permutation([0.2, 0.7]))
+        mass = np.exp(rng.normal(0, 0.3, obj.n))
+        truth = CellParameters(MASS * mass / mass.sum(), friction, 0.35)
+        k = truth.mass * friction
+        numbers = [np.log(MASS), *truth.center_of_mass(obj), np.log(k.sum() / MASS)]
+        params = make_absolute_parameters(Model(obj, truth), k / k.sum(), np.array(numbers))
+        model = Model(obj, params, Physics(regime="quasi_static"))
+        sure = 1e-12 * np.eye(obj.n + 1)
+        posterior = Posterior(np.append(np.log(k), np.log(0.35)), sure, np.eye(obj.n + 1))
+        log = push_over_the_edge(obj, truth, rng, 12)
+        found = calc_force_scale(model, posterior, log)
+        off[True].append(np.log(found.friction / (GRAVITY * k.sum())) / found.relative_std)
+        timed = [TimedPush.of(seen, "quasi_static", log.table) for seen in log]
+        measured = measure_pushes(model, timed)
+        mean, variance = _average(measured.scales, measured.stds, np.zeros(len(log)))
+        off[False].append(np.log(mean / (GRAVITY * k.sum())) / np.sqrt(variance))
+    shared, not_shared = (np.sqrt(np.mean(np.square(off[way]))) for way in (True, False))
+    assert shared < 1.2, off[True]
+    assert not_shared > 1.5, off[False]
 
 
 def test_an_unknown_mass_is_bounded_and_the_estimate_has_the_forces_scale() -> None:
