@@ -95,6 +95,7 @@ def test_every_command_and_the_demo_work_without_extras():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_the_site_describes_every_command_with_its_own_extra_alone():
     docs = name_packages(read_project()["optional-dependencies"]["docs"])
     modules = sorted(bench.target.partition(":")[0] for bench in BENCHES.values())

@@ -267,6 +267,7 @@ class EnoughError(Exception):
     """Ends an episode whose beginning is all that is looked at."""
 
 
+@pytest.mark.slow
 def test_a_session_carries_what_it_learned_into_the_next_episode(monkeypatch):
     begun = []
 

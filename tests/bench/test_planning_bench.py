@@ -71,6 +71,7 @@ def test_what_is_drawn_depends_on_the_seed():
     assert np.abs(first - other).max() > 0.1
 
 
+@pytest.mark.slow
 def test_runs_without_data():
     (table,) = STUDY.run(
         objects=("pliers",), quick=True, part="contact", execution=Execution(workers=0)

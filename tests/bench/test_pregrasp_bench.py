@@ -161,6 +161,7 @@ def test_one_part_is_of_rubber():
     assert len({tuple(friction) for friction in drawn}) > 1
 
 
+@pytest.mark.slow
 def test_bounds_that_hold_contain_the_center_and_tip_nothing():
     table = pregrasp.STUDY.run(
         objects=("pliers",),

@@ -68,6 +68,7 @@ def test_the_player_wins_by_observations_alone(hidden):
         assert played.max_coverage == pytest.approx(fields["max_coverage"], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_player_needs_no_simulator():
     """It plays from observations where neither gym-pusht nor pymunk can be imported."""
     code = (

@@ -103,6 +103,7 @@ def test_names_of_logs_differ() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_simulated_pushes_stand_in_and_say_so() -> None:
     (table,) = STUDY.run(objects=("pliers",), splits=1, execution=Execution(workers=0))
     assert "Simulated stand-in" in table.title

@@ -78,6 +78,7 @@ def test_without_data_simulated_pushes_stand_in():
         make_jobs(RealityBenchOptions(test=26))
 
 
+@pytest.mark.slow
 def test_what_was_imported_is_a_set_named_by_its_folder(tmp_path):
     log, obj = simulate_log(find_shipped_object("pliers"), 0, 0)
     folder = tmp_path / "steel_block"

@@ -48,6 +48,7 @@ def make_outcome(**changes):
     return SceneTaskOutcome(**{**fields, **changes})
 
 
+@pytest.mark.slow
 def test_an_object_is_brought_to_its_goal_and_judged_by_the_truth():
     outcome = run_job(SceneTaskJob(REARRANGE_PART, 1, 4))
     assert outcome.reached and outcome.fell == 0

@@ -49,6 +49,7 @@ def folder(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_learns_from_a_set_that_is_there(folder, capsys):
     arguments = (
         "--kind",
@@ -166,6 +167,7 @@ def test_pushes_by_design_tell_more_than_random_ones_of_the_same_body(folder, ca
     assert again.final_pose == pytest.approx(made.training[0].final_pose, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_push_by_design_begins_away_from_those_before_it(folder):
     made = truth.read_set(folder / "three_feet" / "spray_bottle_0")
     log = find_designed_pushes(made, 3)
@@ -175,6 +177,7 @@ def test_a_push_by_design_begins_away_from_those_before_it(folder):
     assert [seen.push.length for seen in log] == pytest.approx([PUSH_LENGTH] * 3)
 
 
+@pytest.mark.slow
 def test_where_no_new_place_is_left_a_push_by_design_begins_where_one_did(folder, monkeypatch):
     made = truth.read_set(folder / "three_feet" / "spray_bottle_0")
     # Pushes this far from each other there are two of at most.

@@ -127,6 +127,7 @@ def test_friction_does_not_matter():
     assert forces[0] == pytest.approx(forces[1], rel=0.004)
 
 
+@pytest.mark.slow
 def test_an_object_that_is_too_heavy_lies_still():
     obj = load_coarse("snack_bag")
     params = CellParameters.uniform(obj, 2.0, 0.4)
@@ -139,6 +140,7 @@ def test_an_object_that_is_too_heavy_lies_still():
     assert made.max_tilt < np.radians(0.1)
 
 
+@pytest.mark.slow
 def test_a_press_at_any_edge_tells_the_same_as_at_drakes():
     """The story's table has four edges; what is pressed at any of them comes back in its frame."""
     obj = load_coarse("snack_bag")

@@ -73,6 +73,7 @@ def test_object_from_a_photograph(capsys, folder):
     assert "exists already" in again.err
 
 
+@pytest.mark.slow
 def test_depth_of_another_photograph_is_doubted(capsys, folder):
     other = paint(make_camera(), [(L_SHAPE, POSE + (0.04, 0.02, 0.5), HEIGHT, BROWN)]).depth
     cv2.imwrite(str(folder / "other.png"), (1000 * other).round().astype(np.uint16))
@@ -91,6 +92,7 @@ def test_depth_of_another_photograph_is_doubted(capsys, folder):
         assert ("color and depth contradict each other" in done.err) == doubted, done.err
 
 
+@pytest.mark.slow
 def test_a_tag_on_the_object_is_aligned_once_and_then_tells_its_pose(capsys, folder):
     t, tips, poses = make_push()
     X_BT = np.array([-0.02, 0.02, 0.4])
@@ -292,6 +294,7 @@ def test_track_writes_the_pushes_of_a_folder_of_images(capsys, folder, with_tags
     assert cv2.imread(str(folder / "seen.png")).shape == (480, 640, 3)
 
 
+@pytest.mark.slow
 def test_track_tells_apart_what_is_beside_the_object(capsys, folder):
     """A block of the same color, which the object pushes along."""
     _, _, poses = write_video(folder, False, with_block=True)

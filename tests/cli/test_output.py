@@ -68,6 +68,7 @@ def test_a_closed_standard_output_loses_only_the_words_and_no_file_takes_its_pla
     assert file.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_full_or_closed_standard_error_ends_nothing(picture):
     arguments, file = picture
     words = " ".join(f"'{word}'" for word in [*COMMAND, *arguments])

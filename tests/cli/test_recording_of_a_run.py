@@ -54,6 +54,7 @@ def read_pushes(capsys, file, folder):
     return PushLog.read_csv(log)
 
 
+@pytest.mark.slow
 def test_a_demo_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path, undrawn):
     (tmp_path / "scenario.yaml").write_text(SCENARIO)
     out, file = tmp_path / "out", tmp_path / "run.mcap"

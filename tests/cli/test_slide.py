@@ -113,6 +113,7 @@ def test_a_tray_is_taken_by_its_rim_where_the_pads_hold_it(gridpush, refuses, tm
     )
 
 
+@pytest.mark.slow
 def test_one_json_document_tells_what_a_poke_is_worth(gridpush):
     outcome = gridpush("slide", "claw_hammer", "--table", "round:0.4", "--margin", 0.02, "--json")
     assert outcome.code == 1, outcome.err

@@ -38,6 +38,7 @@ def test_gives_out_meshcat_s_page_with_the_overlay_and_passes_the_rest_on(page):
     assert ask(page, "/nothing.txt").status == 404
 
 
+@pytest.mark.slow
 def test_shows_the_scene_and_what_is_being_done(page, tmp_path):
     page.show_phases([Phase(0.0, "Looking")])
     page.show_phases([Phase(0.0, "Looking"), Phase(3.2, "Poke 1 é", "Why <b> not?")])

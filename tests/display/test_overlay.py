@@ -126,6 +126,7 @@ def test_the_slider_winds_to_any_moment(told):
     assert "Play</button>" in told["wound"]
 
 
+@pytest.mark.slow
 def test_shows_the_color_scale_and_the_legend(recording, tmp_path):
     picture = take_picture(recording, tmp_path / "picture.png").astype(int)
     found = {}
@@ -140,6 +141,7 @@ def test_shows_the_color_scale_and_the_legend(recording, tmp_path):
     assert "a &lt;thing&gt;" in page
 
 
+@pytest.mark.slow
 def test_the_close_up_follows_what_it_should(tmp_path):
     """A small red box far from the camera's target is large in the corner wherever it goes."""
     meshcat = StartMeshcatServer(0)

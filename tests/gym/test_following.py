@@ -86,6 +86,7 @@ def play_follower(env, seed):
     return info, total
 
 
+@pytest.mark.slow
 def test_the_follower_wins_and_chance_does_not():
     env = PushEnvironment("Follow", objects=[NAME])
     info, total = play_follower(env, 2)

@@ -87,7 +87,7 @@ def test_one_press_gives_the_product_alone_and_two_overhangs_give_both():
 @pytest.mark.parametrize(
     ("headings", "presses", "lift"),
     [
-        ((0.3, 0.3 + np.pi), 2, True),
+        pytest.param((0.3, 0.3 + np.pi), 2, True, marks=pytest.mark.slow),
         pytest.param((0.3, 0.3 + np.pi), 2, False, marks=pytest.mark.slow),
         ((0.3, 1.9), 1, False),
         ((0.3,), 1, False),

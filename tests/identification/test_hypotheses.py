@@ -219,6 +219,7 @@ def learn_round_bodies(profile, left_out: str) -> tuple[list[float], list[float]
     return with_all, without, weights
 
 
+@pytest.mark.slow
 def test_a_bowl_is_learned_better_where_its_radius_is_a_freedom_of_its_own() -> None:
     with_all, without, weights = learn_round_bodies(
         lambda r: np.exp(-0.5 * (r / 0.4) ** 2), "concentrated"

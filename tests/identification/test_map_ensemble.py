@@ -64,6 +64,7 @@ def test_evidence_chooses_the_amplitude_that_the_pushes_ask_for() -> None:
     assert weight["smooth field 0.05"] + weight["smooth field 0.3"] > 0.75
 
 
+@pytest.mark.slow
 def test_pushes_left_out_tell_which_of_several_wrong_hypotheses_predicts_best() -> None:
     # By evidence alone one wrong prior gets nearly all the weight, and the mean error is 1.0 mm.
     errors = []

@@ -123,6 +123,7 @@ def test_flips_are_named_exactly_in_a_log_that_was_read_from_a_file(tmp_path) ->
     np.testing.assert_allclose(found.params.mass, expected.params.mass, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_push_of_another_object_costs_little_and_is_named(clean: float) -> None:
     errors = []
     for which, (name, seed) in zip(FOREIGN, CASES, strict=True):

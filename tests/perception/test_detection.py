@@ -60,6 +60,7 @@ def test_outline_and_height_are_found_in_shadow_and_gradient(at, use_depth):
     np.testing.assert_allclose(found.pixel, found.camera.project([*found.X_WB[:2], 0]))
 
 
+@pytest.mark.slow
 def test_parallax_would_spoil_it():
     seen = detect([(L_SHAPE, (0.14, 0.08, 2.0), 0.06, BROWN)], DetectorOptions(height=1e-6))
     true = Polygon(transform((0.14, 0.08, 2.0), L_SHAPE))
@@ -74,6 +75,7 @@ GRIP = np.array([[0.0, -0.02], [0.10, -0.02], [0.10, 0.02], [0.0, 0.02]])
 LOW = 0.0035
 
 
+@pytest.mark.slow
 def test_a_part_of_the_table_s_color_that_is_hardly_higher_is_found_and_doubted():
     """Each pixel of the head is as high as three standard deviations of its noise; all together are plain."""
     camera = make_camera()
@@ -169,6 +171,7 @@ def test_the_close_up_shows_all_of_the_outline_and_little_else():
     assert drawn[0] == drawn[1] > 100
 
 
+@pytest.mark.slow
 def test_parts_are_told_apart_by_color():
     half = np.array([[-0.06, -0.03], [0.0, -0.03], [0.0, 0.03], [-0.06, 0.03]])
     prisms = [(half, (0, 0, 0), HEIGHT, (150, 40, 40)), (-half, (0, 0, 0), HEIGHT, (40, 60, 160))]
@@ -191,6 +194,7 @@ def test_cells_too_small_to_be_counted_are_refused():
         found.make_grid_object(1e-4, "plate")
 
 
+@pytest.mark.slow
 def test_what_is_wrong_is_said_with_a_picture():
     camera = make_camera()
     piece = (L_SHAPE, POSE, HEIGHT, BROWN)

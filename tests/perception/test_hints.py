@@ -41,6 +41,7 @@ def look(hint, prisms, camera=None, **painting):
 TWO = [(L_SHAPE, POSE, HEIGHT, BROWN), (SQUARE, ASIDE, HEIGHT, (60, 90, 150))]
 
 
+@pytest.mark.slow
 def test_a_click_chooses_among_several():
     with pytest.raises(MultipleObjectsError):
         look(None, TWO)
@@ -120,6 +121,7 @@ def test_hints_are_in_the_photograph_as_it_was_taken(kind):
     assert calc_outline_error(found.outline, Polygon(transform(pose, L_SHAPE))) < 1e-3
 
 
+@pytest.mark.slow
 def test_hints_that_do_not_help():
     with pytest.raises(NoObjectError, match="nothing stands out from the table where the click is"):
         look(ObjectHint(click=(600, 30)), TWO)

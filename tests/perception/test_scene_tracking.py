@@ -138,6 +138,7 @@ def test_what_was_hidden_is_not_found_in_the_place_of_its_twin():
     check(tracked, there)
 
 
+@pytest.mark.slow
 def test_a_guess_for_some_is_enough_and_frames_may_be_a_stream():
     poses = TOUCHING - [0.08, 0.0, 0.0]
     tracker = make_tracker()

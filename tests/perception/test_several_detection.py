@@ -47,6 +47,7 @@ def test_each_is_found_with_a_height_of_its_own_from_left_to_right():
     assert masks.max() == 1
 
 
+@pytest.mark.slow
 def test_one_object_is_found_as_by_itself():
     frame = paint(make_camera(), PRISMS[:1])
     alone = detect_object(frame.color, frame.depth, make_camera())

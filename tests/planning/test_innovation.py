@@ -307,6 +307,7 @@ def test_an_object_whose_load_is_changed_is_poked_and_learned_anew(hammer, seed)
     assert mass[light].mean() < mass[~light].mean()
 
 
+@pytest.mark.slow
 def test_an_object_that_stays_the_same_is_pushed_as_if_nobody_judged(
     hammer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -413,6 +414,7 @@ def brings_back(state, pose) -> bool:
     return state.retreating and state.status.mode == "sliding" and short and to[0] < pose[0]
 
 
+@pytest.mark.slow
 def test_the_loop_to_the_edge_goes_back_there_and_begins_anew_elsewhere(learned) -> None:
     found, log = learned
     planner = PreGraspPlanner(found.obj, TABLE)

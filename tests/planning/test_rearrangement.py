@@ -59,6 +59,7 @@ def test_objects_are_brought_to_goals():
     np.testing.assert_array_equal(again.state.poses, run.state.poses)
 
 
+@pytest.mark.slow
 def test_two_objects_change_places():
     truth = make_truth(["square", "bar"], [(-0.12, 0, 0), (0.12, 0, 0.3)])
     goals = truth.poses[::-1].copy()

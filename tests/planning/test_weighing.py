@@ -536,6 +536,7 @@ def test_presses_end_when_enough_is_known():
     assert not planner.may_weigh(unsure, pokes - 1, 0)
 
 
+@pytest.mark.slow
 def test_a_planner_weighs_where_the_other_gives_up():
     """With friction that may be anything it first brings the bar to where it can be pressed."""
     surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))

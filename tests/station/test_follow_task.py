@@ -80,6 +80,7 @@ def test_what_cannot_be_followed_is_refused_before_anything_moves(changes, messa
         FollowTask(scenario)
 
 
+@pytest.mark.slow
 def test_the_rules_are_the_scenarios():
     scenario = read_scenario("slalom")
     scenario.follow.speed = 0.03
@@ -131,6 +132,7 @@ def record(slalom):
     return record
 
 
+@pytest.mark.slow
 def test_a_record_says_how_far_off_the_path_and_how_near_to_a_post_it_was(slalom, record):
     assert isinstance(record, FollowRecord)
     assert record.calc_rms() == pytest.approx(0.003, abs=1e-4)
@@ -171,6 +173,7 @@ def test_a_region_that_was_found_in_squares_is_one_piece(robot):
         assert region.covers(LineString([whole.centroid, (x[0] + 0.05, y[0] + 0.05)]))
 
 
+@pytest.mark.slow
 def test_the_steered_fingers_region_has_no_cracks_where_it_was_found_in_squares():
     scenario = read_scenario("slalom")
     scenario.directives = make_robot_directives("panda", grasping=False)

@@ -70,6 +70,7 @@ def test_the_shape_is_that_of_the_robots_own_model(robot):
     assert resolved.obj.prior.push_height == resolved.scenario.finger.push_height
 
 
+@pytest.mark.slow
 def test_a_camera_sees_the_whole_object_though_the_gripper_is_wide():
     """The claw hammer lies where it does in the demo, in the middle of the table."""
     station = MakePushStation(
@@ -146,6 +147,7 @@ def test_the_simulated_fingers_stay_where_they_are_held():
     np.testing.assert_array_equal(np.abs(q), station.robot.opening / 2)
 
 
+@pytest.mark.slow
 def test_a_push_by_the_plant_is_led_logged_and_as_simulated(station):
     shape = station.robot.shape
     pose = np.array(station.scenario.object_pose)

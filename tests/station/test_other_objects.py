@@ -171,6 +171,7 @@ def test_what_makes_no_sense_is_refused(fields, says):
         resolve(PushScenario(others=[{"object": "pliers", "pose": [0.6, 0.25, 0.5]} | fields]))
 
 
+@pytest.mark.slow
 def test_a_slide_to_the_edge_keeps_clear_of_them():
     task = PreGraspTask(read_scenario("two_objects"))
     assert task.planner.obstacles == place_others(task.station.others)

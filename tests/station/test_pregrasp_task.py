@@ -44,6 +44,7 @@ def task():
     return PreGraspTask(scenario)
 
 
+@pytest.mark.slow
 def test_says_whether_an_object_could_be_held(task, monkeypatch):
     """Told of its masses and frictions, the planner sees a way for the toolbox, and none for one of lead."""
     assert task.could_hold()

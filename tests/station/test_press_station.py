@@ -191,6 +191,7 @@ def test_nothing_is_told_but_the_outline():
     assert station.truth.total_mass == pytest.approx(0.68)
 
 
+@pytest.mark.slow
 def test_the_hidden_mass_may_be_drawn_from_a_range():
     scenario = PushScenario(unknown_inertia=True)
     scenario.truth.total_mass = [0.1, 3.0]
@@ -297,6 +298,7 @@ def test_a_run_that_is_given_up_says_so_in_one_sentence(weighed):
     assert dict(PreGraspKind().make_summary(grasped).facts)["raised by"] == "0 mm"
 
 
+@pytest.mark.slow
 def test_the_files_of_a_weighed_run_make_the_same_model_again(weighed, tmp_path, undrawn):
     record, scenario = weighed
     written = write_files(PreGraspKind(), tmp_path, scenario, record, None, force=False)

@@ -71,6 +71,7 @@ def run_demo(capsys, monkeypatch, tmp_path, camera):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_demo_reads_draws_and_solves_everything_once(capsys, counts, monkeypatch, tmp_path):
     assert run_demo(capsys, monkeypatch, tmp_path, "ideal").code == 130
     check_counts(counts, scenes=2)  # what is checked, and the world

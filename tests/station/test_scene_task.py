@@ -296,6 +296,7 @@ def learn_one_push(task, record):
     return belief.identifications
 
 
+@pytest.mark.slow
 def test_what_was_learned_of_each_object_is_drawn_recorded_and_written(tmp_path, undrawn):
     """The colors in Meshcat are those of the models that the folder holds, and no object is gray."""
     pytest.importorskip("rosbags")
@@ -426,6 +427,7 @@ def test_what_no_picture_tells_is_looked_for_where_the_scenario_has_it():
     np.testing.assert_array_equal([first, second, book], poses[[0, 2, 3]])
 
 
+@pytest.mark.slow
 def test_what_the_camera_does_not_find_ends_the_task_with_its_message():
     task = SeparateTask(make_rgbd("separate"))
     task.begin()

@@ -19,6 +19,7 @@ def world():
     return StationWorld(PushScenario(object=COARSE_BOOK))
 
 
+@pytest.mark.slow
 def test_the_robot_makes_a_push_and_the_object_is_put_back(world):
     assert isinstance(world, PushWorld)
     start = world.truth.pose

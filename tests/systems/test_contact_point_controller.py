@@ -202,6 +202,7 @@ def test_an_object_that_slips_away_from_the_finger_is_pursued():
     assert TABLE.contains(OBJ.cells_at(run.pose)).all()
 
 
+@pytest.mark.slow
 def test_an_object_moved_between_pushes_is_pushed_from_where_it_lies():
     run = make_run(OBJ, TRUTH, GOAL, RULES)
     run.go_on_until(lambda status: status.pushes == 1)

@@ -254,6 +254,7 @@ def test_each_of_several_objects_has_its_own_estimate_and_its_own_ghost(obj, mes
     assert not meshcat.HasPath("estimate/push/1/ghost/0")
 
 
+@pytest.mark.slow
 def test_the_ellipse_leaves_the_cells_their_colors(obj, meshcat, estimates):
     """An even object has one color, also where its center of mass may be anywhere in it."""
     require_chromium()
@@ -299,6 +300,7 @@ def check_after(obj, estimates, picture):
     )  # the heavy end is the right one
 
 
+@pytest.mark.slow
 def test_the_live_page_shows_the_cells_in_the_colors_of_their_estimate(obj, meshcat, estimates):
     require_chromium()
     diagram, _ = make_diagram(obj, meshcat, estimates)

@@ -190,6 +190,7 @@ def test_it_rests_while_the_finger_is_not_known_and_goes_on_afterwards():
     assert run.go(30.0).mode == FollowMode.REACHED
 
 
+@pytest.mark.slow
 def test_the_finger_goes_up_if_the_object_stays_hidden_and_goes_on_once_it_is_seen():
     run = Run()
     run.poke()
@@ -204,6 +205,7 @@ def test_the_finger_goes_up_if_the_object_stays_hidden_and_goes_on_once_it_is_se
     assert (status.mode, status.plans) == (FollowMode.REACHED, 2)
 
 
+@pytest.mark.slow
 def test_what_is_behind_on_a_told_path_is_not_gone_again():
     class Left(Run):
         """The object stays where it was left when the finger comes down again."""

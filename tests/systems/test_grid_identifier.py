@@ -135,6 +135,7 @@ def test_log_holds_what_was_to_be_seen(cold):
     )
 
 
+@pytest.mark.slow
 def test_weighings_and_forces_make_the_estimate_absolute(cold):
     """As `estimate_masses` does of what was learned from the pushes alone; older weighings are kept."""
     obj = cold.parts.identifier.obj
@@ -269,6 +270,7 @@ def test_bad_arguments_are_refused(options: dict, message: str) -> None:
         GridIdentifier(make_hammer(12)[0], **options)
 
 
+@pytest.mark.slow
 def test_a_load_that_was_changed_is_learned_anew(monkeypatch):
     obj, truth = make_hammer()
     handle = np.where(obj.p_BC[:, 0] > 0.02, 1.0, 12.0)

@@ -107,6 +107,7 @@ def test_finds_what_the_function_finds_bit_for_bit_in_the_first_picture():
     )
 
 
+@pytest.mark.slow
 def test_looks_once_or_when_it_is_triggered_or_always():
     run, always = Run(), Run(once=False)
     for one in (run, always):
@@ -134,6 +135,7 @@ def test_looks_until_the_arm_is_gone():
     assert run.read("found")[0] == 1 and run.read("message") == ""
 
 
+@pytest.mark.slow
 def test_an_object_of_which_the_robot_hides_a_part_is_not_taken_for_a_smaller_one():
     painter = Painter(np.inf)
     images = [

@@ -138,6 +138,7 @@ def make_observed_pushes(obj):
     return pushes
 
 
+@pytest.mark.slow
 def test_executor_takes_the_pushes_and_a_clone_goes_on_alike():
     obj = make_shape("claw_hammer", 12)
     truth = CellParameters.uniform(obj, 1.0, 0.4, 0.3)

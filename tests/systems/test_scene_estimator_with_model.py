@@ -77,6 +77,7 @@ def run(model: ScenePushModel | None, covered_from: float = np.inf):
     return np.array([estimator.GetOutputPort(f"object_pose_{i}").Eval(context) for i in range(2)])
 
 
+@pytest.mark.slow
 def test_objects_that_a_push_took_out_of_sight_are_told_by_the_model():
     true = calc_poses(1.7)
     moved = true - START

@@ -183,6 +183,7 @@ def test_why_there_is_no_poke_is_said(model):
         PokeOptions(distance=0.0)
 
 
+@pytest.mark.slow
 def test_about_half_of_all_pokes_leave_more_than_was_forecast():
     """To first order about the even object, a first poke leaves 3 to 10 times what it promises."""
     obj = GridObject.from_outline(claw_hammer(), max_cells=20, name="hammer")

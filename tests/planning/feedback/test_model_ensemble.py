@@ -140,5 +140,6 @@ def follow_arc(ensemble):
     return float(np.sqrt((PathProgress(OBJ, path).measure_distance(centers) ** 2).mean()))
 
 
+@pytest.mark.slow
 def test_a_path_is_kept_better_where_the_model_is_corrected():
     assert follow_arc(24) < 0.7 * follow_arc(0)

@@ -126,6 +126,7 @@ def test_comes_to_a_goal_within_the_fingers_limits(shape):
     assert np.abs(turned).max() > 0.0
 
 
+@pytest.mark.slow
 def test_follows_a_path_and_what_it_saw_is_learned_from_as_pushes():
     s = np.linspace(0.0, 0.3, 40)
     points = OBJ.p_BC.mean(axis=0) + np.column_stack([s, 0.02 * (1 - np.cos(2 * np.pi * s / 0.3))])

@@ -286,6 +286,7 @@ def test_a_push_is_broken_off_that_comes_near_another_object(pan, heavy_plate):
     assert near.find_fault(np.array([0.095, 0.0, 0.0])) is not None
 
 
+@pytest.mark.slow
 def test_nothing_known_asks_for_a_poke_and_says_what_it_is_worth(pan, parts):
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
     decision = planner.decide((0.0, 0.0, 0.0), None)
