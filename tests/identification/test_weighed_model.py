@@ -7,8 +7,17 @@ import pytest
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.absolute.estimate import CENTER_INDICES, LOG_FRICTION
-from gridpush_drake.identification.absolute.masses import tilt_to_center
+from gridpush_drake.identification.absolute.estimate import (
+    CENTER_INDICES,
+    LOG_FRICTION,
+    AbsoluteEstimate,
+)
+from gridpush_drake.identification.absolute.masses import (
+    FRICTION_SCATTER,
+    calc_cell_stds,
+    make_absolute_parameters,
+    tilt_to_center,
+)
 from gridpush_drake.identification.fit.learning_task import Abilities, Found, LearningTask
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
@@ -19,6 +28,9 @@ from gridpush_drake.identification.tilt_tests.weighed_model import (
     calc_center_prior,
     estimate_masses,
 )
+from gridpush_drake.multibody.ground_truth import sample_ground_truth
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.pushes.weighings import MassTestLog, TiltTest
 from gridpush_drake.report.page import list_numbers
 from tests.helpers.weighed_objects import Truth, make_problem
@@ -135,11 +147,36 @@ def test_draws_spread_as_is_said(weighed):
     np.testing.assert_allclose(centers.std(axis=0), found.center_std, rtol=0.2)
     # The friction of a cell apart from the others hangs on where the center of mass is.
     cells = np.std([np.log(draw.friction) for draw in draws], axis=0)
-    said = weighed.std.friction / weighed.params.friction
+    scatter = FRICTION_SCATTER * weighed.obj.prior.log_friction_std
+    said = np.sqrt((weighed.std.friction / weighed.params.friction) ** 2 - scatter**2)
     np.testing.assert_allclose(cells, said, rtol=0.25)
     assert said.max() > 1.2 * np.sqrt(found.covariance[LOG_FRICTION, LOG_FRICTION])
     again = weighed.draws(300, seed=2)
     assert all((one.mass == other.mass).all() for one, other in zip(draws, again, strict=True))
+
+
+@pytest.mark.parametrize("friction", [(0.1, 0.9), (0.2, 0.6)])
+def test_what_is_said_of_single_cells_holds(friction):
+    """Of objects with frictions that differ from part to part, weighed and pushed without error."""
+    off = []
+    for name in ("claw_hammer", "pliers", "spray_bottle", "toolbox"):
+        obj = GridObject.from_yaml(find_shipped_object(name))
+        least, most = friction
+        prior = replace(obj.prior, friction=0.35, friction_min=least, friction_max=most)
+        obj = replace(obj, prior=prior)
+        for seed in range(15):
+            truth = sample_ground_truth(obj, seed, friction_range=friction, friction_by_part=True)
+            k = truth.mass * truth.friction
+            center = truth.center_of_mass(obj)
+            mean = np.array([np.log(truth.total_mass), *center, np.log(k.sum() / truth.total_mass)])
+            found = AbsoluteEstimate(mean, 1e-12 * np.eye(4), pushes=5)
+            params = make_absolute_parameters(Model(obj, truth), k / k.sum(), mean)
+            stds = calc_cell_stds(Model(obj, params), np.zeros(obj.n), np.zeros((2, 2)), found)
+            errors = np.log(truth.mass / params.mass), np.log(truth.friction / params.friction)
+            off += [error / std for error, std in zip(errors, stds, strict=True)]
+    off = np.concatenate(off)
+    assert 0.8 < np.sqrt((off**2).mean()) < 1.2
+    assert (np.abs(off) < 1.96).mean() > 0.88
 
 
 def test_a_model_file_keeps_it(tmp_path, weighed):

@@ -16,14 +16,13 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.absolute.estimate import (
     CENTER_INDICES,
     LOG_FRICTION,
-    LOG_MASS,
     AbsoluteEstimate,
     AbsolutePrior,
     MassProblem,
     PoseNoise,
 )
 from gridpush_drake.identification.absolute.masses import (
-    calc_relative_friction_std,
+    calc_cell_stds,
     make_absolute_parameters,
     tilt_to_center,
 )
@@ -261,16 +260,11 @@ def apply_absolute(found: Identification, estimate: AbsoluteEstimate) -> Identif
         supposed = float(found.params.mass @ found.params.friction) / found.params.total_mass
         numbers[LOG_FRICTION] = np.log(supposed)
     params = make_absolute_parameters(Model(obj, found.params), fraction, numbers)
-    # The scales' variances are added to those of the shares.
-    relative = found.std.mass / found.params.mass
-    log_mass = estimate.covariance[LOG_MASS, LOG_MASS]
+    fraction_std = found.std.mass / found.params.mass
     _, center_of_friction = calc_center_of_friction(found)
-    friction = calc_relative_friction_std(Model(obj, params), center_of_friction, estimate)
-    if not estimate.pushes:
-        log_friction = estimate.covariance[LOG_FRICTION, LOG_FRICTION]
-        friction = np.sqrt(friction**2 + log_friction)
+    mass, friction = calc_cell_stds(Model(obj, params), fraction_std, center_of_friction, estimate)
     std = CellParameters(
-        mass=params.mass * np.sqrt(relative**2 + log_mass),
+        mass=params.mass * mass,
         friction=params.friction * friction,
         contact_friction=found.std.contact_friction,
     )
