@@ -91,6 +91,7 @@ def test_without_libyaml_the_same_is_read_and_the_same_is_refused():
             assert found == parse(text)
 
 
+@pytest.mark.slow
 def test_a_large_document_is_read_by_the_compiled_parser():
     """PyYAML's own parser takes several times as long."""
     points = ",".join(f"[{i / 7},{-i / 3}]" for i in range(MAX_NODES // 25))

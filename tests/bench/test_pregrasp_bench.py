@@ -103,6 +103,7 @@ def test_a_body_in_mujoco_moves_alike_and_drops():
     assert body.observe() is None
 
 
+@pytest.mark.slow
 def test_a_light_end_over_the_edge_rests_there_and_is_not_flung_up():
     """One of three feet, which bears 4 % of the weight a quarter of a meter off, leaves the table."""
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")

@@ -101,6 +101,7 @@ def test_a_shove_is_recovered_from():
     assert coverages[-1] > 0.95
 
 
+@pytest.mark.slow
 def test_what_the_learned_block_is_worth():
     """With the even block's estimate, and no learning, an uneven block takes longer."""
     steps = {True: [], False: []}

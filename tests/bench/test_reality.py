@@ -272,6 +272,7 @@ def test_runs_from_one_start_are_held_out_and_predicted_to_their_end(tmp_path):
     assert runs[STILL_MODEL, 0][place].mean > 20
 
 
+@pytest.mark.slow
 def test_the_plants_push_with_two_fingers_as_the_model_says():
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
     model = Model(GridObject.from_outline(rectangle(0.1, 0.08), max_cells=30))

@@ -60,6 +60,7 @@ def plan(world, heading, mass=0.5, params=None, obj=None):
     return min(rests, key=lambda one: one.relative_std)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "heading"), [("claw_hammer", 0.3)])
 def test_the_force_at_which_it_tilts_is_that_of_the_moments(name, heading):
     obj = load_object(name)

@@ -379,6 +379,7 @@ def test_track_names_the_file_or_option_that_is_wrong(capsys, folder):
         assert message in done.err
 
 
+@pytest.mark.slow
 def test_hints_of_where_the_object_is(capsys, folder):
     square = 0.03 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     aside = np.array([-0.16, 0.1, 0.2])

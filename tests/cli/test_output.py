@@ -60,6 +60,7 @@ def test_a_closed_pipe_loses_only_the_words(picture):
     assert file.exists()
 
 
+@pytest.mark.slow
 def test_a_closed_standard_output_loses_only_the_words_and_no_file_takes_its_place(picture):
     arguments, file = picture
     words = " ".join(f"'{word}'" for word in [*COMMAND, *arguments])
@@ -90,6 +91,7 @@ for more in ([], ["--json", "--force"]):
 """
 
 
+@pytest.mark.slow
 def test_letters_that_the_encoding_lacks_are_escaped(picture):
     """In words, and so that JSON can still be read."""
     arguments, file = picture

@@ -17,6 +17,7 @@ from gridpush_drake.station.schema.scenario_file import read_scenario
 from gridpush_drake.systems.robot_records import ArmStatus, GripperStatus, PoseObservation
 
 
+@pytest.mark.slow
 def test_robot_twin_and_tracker_say_what_is_missing(refuses, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     for command in ("robot", "twin", "tracker"):

@@ -40,6 +40,7 @@ def test_plans_draws_and_writes(gridpush, pan, tmp_path):
         assert image.width > 600
 
 
+@pytest.mark.slow
 def test_a_plate_slides_if_it_is_asked_for(gridpush, pan):
     plate = ("--pusher", "plate:0.05x0.02x0.003", "--json")
     outcome = gridpush("slide", pan, *TABLE, *plate)

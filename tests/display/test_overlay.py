@@ -165,6 +165,7 @@ def test_the_close_up_follows_what_it_should(tmp_path):
     assert sizes[0] > 5000
 
 
+@pytest.mark.slow
 def test_nothing_to_say_shows_nothing(tmp_path):
     meshcat = StartMeshcatServer(0)
     write_recording(meshcat, tmp_path / "plain.html", overlay=Overlay())

@@ -27,6 +27,7 @@ def test_a_seed_gives_an_episode_bit_for_bit():
     assert np.ptp(runs[0], axis=0).max() > 0.01
 
 
+@pytest.mark.slow
 def test_our_planner_wins_by_the_games_actions():
     environment = PushEnvironment(
         "Rearrange", "rgb_array", count=2, position_std=0.0, angle_std=0.0

@@ -59,6 +59,7 @@ def push_at_edge(obj: GridObject, truth: CellParameters, count: int, seed: int) 
     return PushLog(tuple(pushes), table=TABLE.corners)
 
 
+@pytest.mark.slow
 def test_over_the_edge_pushes_are_learned_better_with_the_true_frictions() -> None:
     means = {}
     for held in (False, True):

@@ -249,6 +249,7 @@ def test_pushes_that_agree_make_surer_of_what_none_shows_but_by_half_as_much(
     assert calc_region(*fit_pokes(False)) < 0.9 * calc_region(obj, surer)
 
 
+@pytest.mark.slow
 def test_a_push_that_ends_far_off_is_not_explained_away_by_being_sensitive() -> None:
     case = make_case(make_protocol(), "pliers", 4)
     found, test = (

@@ -52,6 +52,7 @@ def test_a_click_chooses_among_several():
         assert calc_outline_error(found.outline, Polygon(transform(pose, outline))) < 6e-4
 
 
+@pytest.mark.slow
 def test_a_box_chooses_among_several():
     for outline, pose, *_ in TWO:
         found = look(ObjectHint(box=find_box(make_camera(), outline, pose)), TWO)
@@ -79,6 +80,7 @@ def test_an_object_that_seems_torn():
     assert calc_outline_error(found.outline, true) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_mask_is_taken_as_it_is():
     camera = make_camera()
     mask = cover(camera, L_SHAPE, POSE, HEIGHT) > 0.5

@@ -78,6 +78,7 @@ def test_the_command_writes_a_file_that_calibrate_takes(taken, tmp_path, capsys)
     assert np.linalg.norm(Camera.read(placed).center) == pytest.approx(0.65, abs=0.15)
 
 
+@pytest.mark.slow
 def test_photographs_from_one_side_are_refused():
     _, photographs = take_photographs([(180, 0, turn) for turn in (0, 20, 40, 60, 80)])
     with pytest.raises(TagError, match=r"from sides at most .* degrees apart; expected 20"):

@@ -65,6 +65,7 @@ def test_poses_are_found_to_a_fraction_of_a_pixel(use_depth):
         assert np.linalg.eigvalsh(tracked.covariance).min() > 0
 
 
+@pytest.mark.slow
 def test_start_searches_every_angle_and_refuses_another_outline():
     tracker = PoseTracker(L_SHAPE, HEIGHT, make_camera())
     for pose in ([-0.05, 0.04, 2.5], [0.06, -0.03, -1.2]):
@@ -293,6 +294,7 @@ def test_what_looks_the_same_turned_round_is_not_flipped_by_a_push_out_of_sight(
         assert np.sqrt(tracked.covariance[2, 2]) < np.radians(15)
 
 
+@pytest.mark.slow
 def test_a_model_says_which_side_of_a_square_is_which():
     """After a turn by 60 degrees its next side is nearer to where the last one was."""
     start = np.array([-0.04, -0.02, 0.2])

@@ -110,6 +110,7 @@ def test_a_closed_loop_reaches_its_goal_in_it(DiscWorld, puck):
     assert world.pushes == len(run.log) >= 1
 
 
+@pytest.mark.slow
 def test_benches_take_it_by_its_name(DiscWorld):
     name = "disc_world:DiscWorld"
     (run,) = planning.run_job(

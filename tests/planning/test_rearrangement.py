@@ -173,6 +173,7 @@ def test_a_good_second_push_is_made_at_once():
     assert np.median(left) < 0.5 * cost(truth.poses[None])[0]
 
 
+@pytest.mark.slow
 def test_draws_surround_what_was_learned():
     truth = make_truth(["square", "bar"], [(0, 0, 0), (0.2, 0.05, 0.4)])
     run, *_ = rearrange(

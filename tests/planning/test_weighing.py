@@ -139,6 +139,7 @@ def test_what_is_not_safe_is_not_planned():
     assert len(heavy) < len(list_placements(BAR, CENTERS, heading, EDGE, TOP))
 
 
+@pytest.mark.slow
 def test_the_whole_finger_presses_on_the_object_unless_its_parts_are_too_narrow():
     bar = GridObject.from_outline(rectangle(0.3, 0.014), max_cells=30, name="narrow bar")
     centers = 0.2 * CENTERS

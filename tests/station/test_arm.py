@@ -95,6 +95,7 @@ def test_tip_follows_while_it_pushes_a_box():
     np.testing.assert_allclose(p_WB[:2], [0.6 + moved, 0.0], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_reset_and_reuse_gives_the_same_again(bench):
     runs = []
     for _ in range(2):

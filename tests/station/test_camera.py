@@ -83,6 +83,7 @@ def photograph(renderer):
         return scenario, resolved.obj, found, taken[0]
 
 
+@pytest.mark.slow
 def test_the_camera_is_where_the_pictures_are_taken_from(photograph):
     """The pixels of the object lie about where the camera says: to a tenth of a pixel, taken together."""
     scenario, true_obj, _, (_, depth, labels, camera, body) = photograph

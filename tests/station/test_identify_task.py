@@ -53,6 +53,7 @@ def test_a_second_run_of_the_same_diagram_is_the_same(short):
     np.testing.assert_array_equal(first.estimates[-1].params.mass, second.estimates[-1].params.mass)
 
 
+@pytest.mark.slow
 def test_a_run_that_is_watched_takes_the_same_steps_as_one_that_is_not():
     contexts = []
     for meshcat in (None, StartMeshcatServer(0)):

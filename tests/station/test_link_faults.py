@@ -172,7 +172,8 @@ def test_where_no_status_can_be_used_any_more_the_arm_is_stopped_and_it_is_said_
     assert bench.find_stop(fault.begun, NEAR) < STOPS_WITHIN
 
 
-@pytest.mark.parametrize("name", ["future", pytest.param("past", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["future", "past"])
 def test_where_the_robot_s_clock_truly_jumps_the_arm_is_stopped_and_the_next_run_goes_on(
     bench, name
 ):

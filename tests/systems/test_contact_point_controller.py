@@ -72,6 +72,7 @@ def test_learns_on_the_way():
     assert status.mode == ContactPointMode.REACHED
 
 
+@pytest.mark.slow
 def test_a_clone_goes_on_alike():
     run = make_run(OBJ, TRUTH, GOAL, RULES)
     run.simulator.AdvanceTo(2.0)
@@ -83,6 +84,7 @@ def test_a_clone_goes_on_alike():
     np.testing.assert_array_equal(*ends)
 
 
+@pytest.mark.slow
 def test_another_goal_begins_anew():
     run = make_run(OBJ, TRUTH, GOAL, RULES)
     run.go_on_until(over)
@@ -194,6 +196,7 @@ def test_gives_up_when_everything_is_refused():
     assert run.go_on_until(lambda status: status.refused == 1, 3.0).refused == 1
 
 
+@pytest.mark.slow
 def test_an_object_that_slips_away_from_the_finger_is_pursued():
     slippery = CellParameters(TRUTH.mass, TRUTH.friction, 0.02)
     run = make_run(OBJ, slippery, GOAL, RULES)

@@ -160,6 +160,7 @@ def test_answers_that_come_late_do_as_well():
     assert measure_off(run.steered.pose) < 0.006
 
 
+@pytest.mark.slow
 def test_it_rests_while_no_pose_comes_and_goes_on_with_the_next():
     run = Run()
     run.poke()
@@ -177,6 +178,7 @@ def test_it_rests_while_no_pose_comes_and_goes_on_with_the_next():
     assert run.go(30.0).mode == FollowMode.REACHED
 
 
+@pytest.mark.slow
 def test_it_rests_while_the_finger_is_not_known_and_goes_on_afterwards():
     run = Run()
     run.poke()

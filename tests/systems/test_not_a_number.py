@@ -269,6 +269,7 @@ def test_a_push_that_nothing_can_be_learned_from_is_left_out(monkeypatch):
     assert read("identification").push_names == ("push_2",)
 
 
+@pytest.mark.slow
 def test_a_whole_diagram_goes_on_learning():
     """Tip, pose and pusher are lost now and then, while it pokes: the tip may even pass through the object."""
     parts = make_poke_diagram(OBJ, UNIFORM, pokes=2, seed=1, spoiled=0.3)

@@ -141,6 +141,7 @@ def test_what_a_picture_tells_is_there_after_the_latency():
     check(run.at(0.86), 0.6)
 
 
+@pytest.mark.slow
 def test_nothing_is_seen_behind_the_arm_or_under_the_lid():
     run = Run(arm_from=0.45)
     check(run.at(0.41), 0.4)

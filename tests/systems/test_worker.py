@@ -149,6 +149,7 @@ def test_in_lockstep_outputs_hold_and_then_are_the_offline_answer_bit_for_bit(la
     assert read(parts, simulator, "age")[0] == pytest.approx(0.75)
 
 
+@pytest.mark.slow
 def test_a_clone_with_a_request_under_way_ends_as_the_original_bit_for_bit(late) -> None:
     parts = make_pokes(answer_delay=0.7, warm_start=False)
     simulator = Simulator(parts.diagram)

@@ -53,6 +53,7 @@ def test_gradient_of_a_sliding_object_agrees_with_differences(seed):
     )
 
 
+@pytest.mark.slow
 def test_gradient_holds_where_some_rows_stick_or_are_carried_backwards():
     checked = 0
     for seed in range(60):

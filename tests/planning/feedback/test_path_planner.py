@@ -38,6 +38,7 @@ def plan(rules=RULES, goal=GOAL, **more):
     return plan_pose_path(Model(OBJ, TRUTH), START, goal, FINGER, rules, **{"speed": 0.05, **more})
 
 
+@pytest.mark.slow
 def test_a_path_leads_round_a_wall_and_is_followed_to_its_end():
     found = plan()
     assert found.status == FollowStatus.PUSHING

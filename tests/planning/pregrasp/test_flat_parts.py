@@ -265,6 +265,7 @@ def test_a_bar_beside_the_center_of_mass_is_taken_where_the_pads_hold_across_the
     assert (len(found) > 0 and found[0].p_BG[1] > 0.09) == held
 
 
+@pytest.mark.slow
 def test_pokes_are_made_while_the_center_of_mass_may_be_where_the_pads_hold_it():
     obj = make_tray(total_mass=1.2)
     planner, prior = make_planner(obj), Belief.of_prior(obj)

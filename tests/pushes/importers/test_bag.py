@@ -173,6 +173,7 @@ def test_a_long_bag_of_a_tracker_and_a_wrist_sensor_is_read(script, obj, tmp_pat
         read(path, obj, **topics)
 
 
+@pytest.mark.slow
 def test_a_delay_is_found_taken_out_and_agreed_with(script, obj, tmp_path):
     late, on_time = tmp_path / "late", tmp_path / "on_time"
     for folder in (late, on_time):
