@@ -9,6 +9,10 @@ from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.geometry.se2 import make_rotation
 from gridpush_drake.identification.absolute.estimate import AbsolutePrior, MassProblem, PoseNoise
 from gridpush_drake.identification.absolute.force_scale import ForceScale
+from gridpush_drake.identification.absolute.masses import make_absolute_parameters
+from gridpush_drake.identification.model import Model
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.weighings import LiftTest, MassTestLog, TiltTest
 
 CENTER = np.array([0.02, -0.01])
@@ -42,6 +46,21 @@ def draw_truth(rng: np.random.Generator) -> Truth:
         center=CENTER + CENTER_STD * rng.standard_normal(2),
         friction=float(np.exp(rng.uniform(*np.log(prior.friction)))),
     )
+
+
+def weigh_exactly(
+    obj: GridObject, truth: CellParameters
+) -> tuple[NDArray[np.float64], CellParameters]:
+    """What is learned of an object that was weighed and pushed without error.
+
+    Returns:
+        The mean (4,) of the estimate, and the parameters. Loads, mass and center of mass are true,
+        and how friction is spread is not known.
+    """
+    k = truth.mass * truth.friction
+    mass = truth.total_mass
+    mean = Truth(mass, truth.center_of_mass(obj), float(k.sum()) / mass).unknowns
+    return mean, make_absolute_parameters(Model(obj, truth), k / k.sum(), mean)
 
 
 def make_problem(

@@ -12,7 +12,6 @@ from gridpush_drake.identification.absolute.force_scale import (
     calc_force_scale,
     measure_pushes,
 )
-from gridpush_drake.identification.absolute.masses import make_absolute_parameters
 from gridpush_drake.identification.identifiability import (
     _calc_box_of_known_scale,
     calc_center_of_mass_box,
@@ -25,14 +24,15 @@ from gridpush_drake.identification.statistics.posterior import Posterior
 from gridpush_drake.identification.statistics.problem import TimedPush
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shared_data import read_cmu
+from tests.helpers.weighed_objects import weigh_exactly
 from tests.identification.simulated_pokes import make_pokes
+from tests.identification.test_held_friction import push_at_edge
 
 RECTANGLE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
 FRICTION = (0.25, 0.5)
 MASS = 0.8
-TABLE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 def make_case(total_mass: float | None = None) -> tuple[GridObject, CellParameters]:
@@ -47,27 +47,37 @@ def make_case(total_mass: float | None = None) -> tuple[GridObject, CellParamete
 
 
 def add_forces(
-    obj: GridObject, truth: CellParameters, log: PushLog, seed: int, backwards: int = 0
+    obj: GridObject,
+    truth: CellParameters,
+    log: PushLog,
+    seed: int,
+    backwards: int = 0,
+    noise: float = 1.0,
 ) -> PushLog:
     """With forces at 50 Hz: 15 % off from push to push, with noise and an offset of the sensor.
 
-    Those of the first `backwards` pushes have the wrong sign.
+    Those of the first `backwards` pushes have the wrong sign. `noise` is a factor on all errors.
     """
     rng, pushes = np.random.default_rng((9, seed)), []
     for i, seen in enumerate(log):
         times = make_path_times(seen.push, "quasi_static")
         motion = simulate(
-            Model(obj, truth), seen.push, seen.pose, regime="quasi_static", times=times
+            Model(obj, truth),
+            seen.push,
+            seen.pose,
+            regime="quasi_static",
+            times=times,
+            table=log.table,
         )
         t = np.arange(0.0, seen.push.duration, 0.02)
         force = motion.contact_forces.sum(axis=1)[np.searchsorted(times, t, side="right") - 1]
         force = (
-            force * np.exp(rng.normal(0, 0.15))
-            + rng.normal(0, 0.3, force.shape)
-            + rng.normal(0, 0.05, 2)
+            force * np.exp(noise * rng.normal(0, 0.15))
+            + noise * rng.normal(0, 0.3, force.shape)
+            + noise * rng.normal(0, 0.05, 2)
         )
         pushes.append(replace(seen, force_t=t, force=-force if i < backwards else force))
-    return PushLog(tuple(pushes))
+    return replace(log, pushes=tuple(pushes))
 
 
 def learn(
@@ -201,65 +211,31 @@ def test_pushes_with_noisy_forces_count_less() -> None:
     assert 0.005 < np.sqrt(of_noisy) < 0.013
 
 
-def push_over_the_edge(
-    obj: GridObject, truth: CellParameters, rng: np.random.Generator, count: int
-) -> PushLog:
-    """Pushes with forces: three with the whole object on the table, and then others beyond it."""
-    pushes: list[ObservedPush] = []
-    while len(pushes) < count:
-        on_table = len(pushes) < 3
-        pose = np.array([0.0 if on_table else 0.44, 0.0, rng.uniform(-0.5, 0.5)])
-        push = Push.on_outline(
-            obj, rng.uniform(0, obj.edges.perimeter), 0.0, 0.04, radius=0.01, speed=0.02, pose=pose
-        )
-        times = make_path_times(push, "quasi_static")
-        motion = simulate(
-            Model(obj, truth), push, pose, regime="quasi_static", times=times, table=TABLE
-        )
-        beyond = np.mean(obj.cells_at(motion.final_pose)[:, 0] > TABLE[1, 0])
-        still = np.linalg.norm(motion.final_pose - pose) < 0.02
-        if motion.status != "ok" or still or (not on_table and beyond < 0.1):
-            continue
-        pushes.append(
-            ObservedPush(
-                name=f"push_{len(pushes)}",
-                push=push,
-                pose=pose,
-                t_observed=times[-1:],
-                poses_observed=motion.final_pose[None],
-                force_t=times[:-1],
-                force=motion.contact_forces.sum(axis=1),
-            )
-        )
-    return PushLog(tuple(pushes), table=TABLE)
-
-
 def test_pushes_over_the_edge_share_an_error() -> None:
     """The model has the true loads and center of mass, and not how friction is spread."""
     obj, _ = make_case()
     rng = np.random.default_rng(1)
-    off = {True: [], False: []}
-    for _ in range(12):
+    shared, apart = [], []
+    for seed in range(12):
         rough = obj.p_BC[:, 0] > rng.uniform(-0.03, 0.03)
         friction = np.where(rough, *rng.permutation([0.2, 0.7]))
         mass = np.exp(rng.normal(0, 0.3, obj.n))
         truth = CellParameters(MASS * mass / mass.sum(), friction, 0.35)
         k = truth.mass * friction
-        numbers = [np.log(MASS), *truth.center_of_mass(obj), np.log(k.sum() / MASS)]
-        params = make_absolute_parameters(Model(obj, truth), k / k.sum(), np.array(numbers))
-        model = Model(obj, params, Physics(regime="quasi_static"))
+        model = Model(obj, weigh_exactly(obj, truth)[1], Physics(regime="quasi_static"))
         sure = 1e-12 * np.eye(obj.n + 1)
         posterior = Posterior(np.append(np.log(k), np.log(0.35)), sure, np.eye(obj.n + 1))
-        log = push_over_the_edge(obj, truth, rng, 12)
+        on_table = make_pokes(obj, truth, 3, seed)
+        over = push_at_edge(obj, truth, 9, seed)
+        log = add_forces(obj, truth, replace(over, pushes=(*on_table, *over)), seed, noise=0.0)
         found = calc_force_scale(model, posterior, log)
-        off[True].append(np.log(found.friction / (GRAVITY * k.sum())) / found.relative_std)
+        shared.append(np.log(found.friction / (GRAVITY * k.sum())) / found.relative_std)
         timed = [TimedPush.of(seen, "quasi_static", log.table) for seen in log]
         measured = measure_pushes(model, timed)
         mean, variance = _average(measured.scales, measured.stds, np.zeros(len(log)))
-        off[False].append(np.log(mean / (GRAVITY * k.sum())) / np.sqrt(variance))
-    shared, not_shared = (np.sqrt(np.mean(np.square(off[way]))) for way in (True, False))
-    assert shared < 1.2, off[True]
-    assert not_shared > 1.5, off[False]
+        apart.append(np.log(mean / (GRAVITY * k.sum())) / np.sqrt(variance))
+    assert np.sqrt(np.mean(np.square(shared))) < 1.2, shared
+    assert np.sqrt(np.mean(np.square(apart))) > 1.5, apart
 
 
 def test_an_unknown_mass_is_bounded_and_the_estimate_has_the_forces_scale() -> None:

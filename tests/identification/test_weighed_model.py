@@ -15,7 +15,6 @@ from gridpush_drake.identification.absolute.estimate import (
 from gridpush_drake.identification.absolute.masses import (
     FRICTION_SCATTER,
     calc_cell_stds,
-    make_absolute_parameters,
     tilt_to_center,
 )
 from gridpush_drake.identification.fit.learning_task import Abilities, Found, LearningTask
@@ -33,7 +32,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.pushes.weighings import MassTestLog, TiltTest
 from gridpush_drake.report.page import list_numbers
-from tests.helpers.weighed_objects import Truth, make_problem
+from tests.helpers.weighed_objects import Truth, make_problem, weigh_exactly
 from tests.identification.simulated_pokes import make_pokes
 from tests.identification.test_force_scale import MASS, learn, make_case
 
@@ -166,11 +165,8 @@ def test_what_is_said_of_single_cells_holds(friction):
         obj = replace(obj, prior=prior)
         for seed in range(15):
             truth = sample_ground_truth(obj, seed, friction_range=friction, friction_by_part=True)
-            k = truth.mass * truth.friction
-            center = truth.center_of_mass(obj)
-            mean = np.array([np.log(truth.total_mass), *center, np.log(k.sum() / truth.total_mass)])
+            mean, params = weigh_exactly(obj, truth)
             found = AbsoluteEstimate(mean, 1e-12 * np.eye(4), pushes=5)
-            params = make_absolute_parameters(Model(obj, truth), k / k.sum(), mean)
             stds = calc_cell_stds(Model(obj, params), np.zeros(obj.n), np.zeros((2, 2)), found)
             errors = np.log(truth.mass / params.mass), np.log(truth.friction / params.friction)
             off += [error / std for error, std in zip(errors, stds, strict=True)]

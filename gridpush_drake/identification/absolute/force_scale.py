@@ -378,27 +378,26 @@ def _average(scales: Array, stds: Array, parts: Array) -> tuple[float, float]:
         K, N, and the variance of K / K.
     """
     mean = float(np.median(scales))
-    slope = 0.0  # K w, N
+    off = scales / mean - 1
     variance = PUSH_STD**2
-    weights = np.ones(len(scales))
-    known = len(scales) / variance
+    precision = 0.0
     for _ in range(REWEIGHTING_ROUNDS):
-        off = (scales - slope * parts) / mean - 1
         total = variance + (stds / mean) ** 2
         distance = np.maximum(np.abs(off), np.finfo(float).tiny)
         weights = np.minimum(1.0, HUBER_DISTANCE * np.sqrt(total) / distance)
         # Section 10: the weighted least squares of K_p = K + K w h_p, with the prior of w.
         W = weights / total
         S_0, S_1, S_2 = W.sum(), W @ parts, W @ parts**2 + OVERHANG_STD**-2
-        known = S_0 - S_1**2 / S_2
-        mean = float((W @ scales - S_1 / S_2 * (W @ (parts * scales))) / known)
-        slope = float((W @ (parts * scales) - S_1 * mean) / S_2)
+        by_part = W @ (parts * scales)
+        precision = float(S_0 - S_1**2 / S_2)
+        mean = float((W @ scales - S_1 / S_2 * by_part) / precision)
+        slope = float((by_part - S_1 * mean) / S_2)  # K w, N
+        off = (scales - slope * parts) / mean - 1
         # s² = (nu s_0² + sum w_p e_p²) / (nu + sum w_p - 1 - gamma), with e_p² what the table's
         # part of the distance is expected to be, squared, and gamma how much of w is known.
-        off = (scales - slope * parts) / mean - 1
         fraction = variance / total
         squares = float(weights @ ((fraction * off) ** 2 + variance * (1 - fraction)))
         gamma = 1 - OVERHANG_STD**-2 / (S_2 - S_1**2 / S_0)
         freedom = PUSH_STD_WEIGHT + weights.sum() - 1 - gamma
         variance = (PUSH_STD_WEIGHT * PUSH_STD**2 + squares) / freedom
-    return mean, 1 / float(known)
+    return mean, 1 / precision
