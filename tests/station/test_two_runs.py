@@ -12,14 +12,13 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose, SetGridObjectVelocity
-from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.station.scene.contents import MakeTruth
+from gridpush_drake.station.scene.resolve import resolve
 from gridpush_drake.station.schema.scenario import PushScenario
-from gridpush_drake.station.schema.scenario_file import read_scenario
 from gridpush_drake.station.simulated.limit_monitor import LimitMonitor
 from gridpush_drake.station.simulated.push_station import MakePushStation
 from gridpush_drake.station.tasks.identify_task import IdentifyTask
-from gridpush_drake.station.tasks.pregrasp_task import PreGraspTask
+from gridpush_drake.station.tasks.registry import TASK_KINDS
 from gridpush_drake.systems.base.messages import PushCommand
 
 RUNS = ((1, (0.55, 0.05, 0.3), 0.6), (2, (0.6, -0.05, -0.5), 0.4))
@@ -161,21 +160,27 @@ def test_a_station_that_is_dropped_is_freed():
 
 
 @pytest.mark.slow
-def test_a_task_with_a_gripper_that_is_dropped_is_freed():
-    task = PreGraspTask(read_scenario(find_models() / "scenarios/grasp.yaml"))
-    station = task.station
+@pytest.mark.parametrize(
+    ("name", "weighs"),
+    [*((name, False) for name in TASK_KINDS), ("pregrasp", True), ("slide", True)],
+)
+def test_a_task_that_is_dropped_is_freed(name, weighs):
+    kind = TASK_KINDS[name]
+    scenario = kind.make_scenario()
+    scenario.unknown_inertia = weighs
+    task = kind.make_task(resolve(scenario))
     parts = [
         ref(part)
         for part in (
             task,
             task.simulator,
             task.controller,
-            station,
-            station.plant,
-            station.scene_graph,
+            task.station,
+            task.station.plant,
+            task.station.scene_graph,
         )
     ]
-    del task, station
+    del task
     gc.collect()
     assert [part() for part in parts] == [None] * len(parts)
 

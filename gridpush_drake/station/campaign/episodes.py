@@ -5,6 +5,7 @@ that whoever runs it again sees the same. What came of it is one line of a file
 (`jobs.results.Results`).
 """
 
+import gc
 import json
 import shlex
 import traceback
@@ -167,6 +168,8 @@ def run_episode(job: EpisodeJob) -> EpisodeOutcome:
     Raises:
         OutputError: the recording cannot be written.
     """
+    # A station that was dropped takes hundreds of megabytes, of which Python sees next to nothing.
+    gc.collect()
     begin = perf_counter()
     recorder = RunRecorder() if job.recording else None
     try:

@@ -245,7 +245,8 @@ def MakePushStation(
     A station that nobody holds any more is freed by Python's garbage collector (`gc.collect()`),
     but for 1 MB or less that stays with Drake. If a part of the station, or a system connected to
     it, keeps a `RigidBody`, a `Joint`, a `Frame` or the ids of `GetCollisionGeometriesForBody` of
-    its plant, the whole station stays in memory for good: keep their indices instead.
+    its plant, the whole station stays in memory for good: keep their indices instead. So it does if
+    one of them keeps whoever holds the station's Simulator, as by a method of a `StationTask`.
 
     Args:
         scenario: the scenario, resolved or not.

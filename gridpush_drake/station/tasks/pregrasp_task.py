@@ -10,6 +10,7 @@ up: the finger presses on what hangs over the edge (`planning.weighing`).
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import atan2
 from typing import Any, ClassVar
 
@@ -337,18 +338,12 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             edge_region=self._find_edge(finger_region),
             can_push=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
             can_grasp=self._finder.can_grasp,
-            can_press=self._can_press if station.scenario.unknown_inertia else None,
+            can_press=partial(_can_press, station) if station.scenario.unknown_inertia else None,
         )
 
     def _find_edge(self, finger_region: BaseGeometry) -> BaseGeometry:
         """Finds where on the table's edge the object may be taken, in W, m."""
         return self._finder.find_edge()
-
-    def _can_press(self, target: PressTarget, pose: Array) -> bool:
-        """Says whether the arm can press there, with the object at a pose (3,)."""
-        x, y, theta = pose.tolist()
-        command = PressCommand.from_target(1, target, (x, y, theta))
-        return self.station.FindPressObstacle(command) is None
 
     def _make_controller(self) -> PreGraspController:
         """Makes the controller, which grasps at half the object's height."""
@@ -397,6 +392,15 @@ def make_tilt_test_options(station: Station) -> TiltTestOptions:
         max_presses=scenario.weighing.max_presses,
         top=scenario.object_height,
     )
+
+
+# Not a method of the task: the controller would hold the task, whose Simulator holds the controller
+# where Python's garbage collector cannot see it, and neither would ever be freed.
+def _can_press(station: Station, target: PressTarget, pose: Array) -> bool:
+    """Says whether the arm can press there, with the object at a pose (3,)."""
+    x, y, theta = pose.tolist()
+    command = PressCommand.from_target(1, target, (x, y, theta))
+    return station.FindPressObstacle(command) is None
 
 
 def _find_gripper(robot: Robot, grasps: bool) -> GripperMeasures | None:

@@ -468,10 +468,12 @@ class FetchTask(SceneTask):
 
     def make_find_grasp(self) -> FindSceneGrasp:
         """Makes what finds a grasp that holds the wanted object where it lies."""
+        # Not the task: the controller would hold it, and neither would ever be freed.
         finder = self._finder
+        wanted = self.objects[0]
 
         def find(poses: Array, decision: SceneDecision, belief: Belief) -> SideGrasp | None:
-            model = belief.alone.get(0) or Belief.of_prior(self.objects[0])
+            model = belief.alone.get(0) or Belief.of_prior(wanted)
             return choose_grasp(finder.find_grasp, poses[0], model.masses, decision.goal)
 
         return find
