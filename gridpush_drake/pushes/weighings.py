@@ -167,7 +167,7 @@ class TiltTest(Frozen):
     def __repr__(self) -> str:
         """Force and distance from the edge, in a line."""
         return (
-            f"EdgePress: {self.force:.2f} ± {self.force_std:.2f} N, "
+            f"TiltTest: {self.force:.2f} ± {self.force_std:.2f} N, "
             f"{self.arm * MM_PER_M:.0f} mm beyond the edge"
         )
 
@@ -209,7 +209,7 @@ class LiftTest(Frozen):
     def __repr__(self) -> str:
         """The weight, in a line."""
         about = "" if self.torque is None else ", with its torque about the pads"
-        return f"Lift: {self.weight:.2f} ± {self.weight_std:.2f} N{about}"
+        return f"LiftTest: {self.weight:.2f} ± {self.weight_std:.2f} N{about}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +237,7 @@ class MassTestLog:
         """How many there are, in a line."""
         kinds = f"{count(len(self.presses), 'edge press')}, {count(len(self.lifts), 'lift')}"
         source = f", from {self.source}" if self.source else ""
-        return f"WeighingLog: {kinds}{source}"
+        return f"MassTestLog: {kinds}{source}"
 
     @classmethod
     def read_csv(cls, path: Path | str) -> "MassTestLog":

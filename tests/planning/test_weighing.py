@@ -586,6 +586,16 @@ def test_a_planner_weighs_where_the_other_gives_up():
         assert weighing.decide(inside, model, slides=slides).action == action
     assert weighing.decide(at_edge, model, slides=slides).action == "weigh"
 
+    # A press that the object withstood is a press, too.
+    heavier = weighing.suppose_heavier()
+    assert heavier.decide(inside, model, slides=slides).action == "slide"
+    slides += options.slides_per_press
+    stopped = heavier.decide(inside, model, slides=slides)
+    assert stopped.action == "fail"
+    assert stopped.reason.endswith(
+        "16 slides led to 2 presses, so that it is slid no further to be weighed"
+    )
+
 
 @pytest.mark.slow
 def test_a_planner_weighs_a_heavy_object_where_it_is_expected_to_tilt():

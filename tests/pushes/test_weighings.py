@@ -46,7 +46,7 @@ def test_columns_that_are_not_there_have_defaults(write):
     assert lift.torque is None
     assert lift.torque_std == TORQUE_STD
     assert press.arm == pytest.approx(0.05)
-    assert repr(log).startswith("WeighingLog: 1 edge press, 1 lift, from ")
+    assert repr(log).startswith("MassTestLog: 1 edge press, 1 lift, from ")
 
 
 @pytest.mark.parametrize(

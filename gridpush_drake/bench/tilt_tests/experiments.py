@@ -437,7 +437,7 @@ def weigh_at_edge(
         for _ in range(course.no_tilts_in_a_row):
             supposing = supposing.suppose_heavier()
         supposing = supposing.avoid(course.slid_places)
-        may_slide = course.slides < planner.calc_slide_limit(model.presses)
+        may_slide = course.slides < supposing.calc_slide_limit(model.presses)
         choice = next(supposing.plan_presses(seen, model, may_slide), None)
         if choice is None or course.failed_in_a_row >= MAX_FAILED_PRESSES:
             break

@@ -137,7 +137,8 @@ class TiltTestOptions:
         max_presses: greatest number of presses that tilted the object.
         first_slides: number of slides after which an object that was not pressed yet is slid no
             further to be weighed.
-        slides_per_press: number of slides that each press adds to these.
+        slides_per_press: number of slides that each press adds to these, also one that the object
+            withstood.
         edge_room: how far inside the ends of its edge an object crosses that edge where it is
             weighed, m; and how far it keeps from all other edges.
         top: height of the object's top, m; None for what its file says.
@@ -160,6 +161,7 @@ class TiltTestPlanner(PreGraspPlanner):
         weighing: when and how it weighs.
         mass_factor: factor on the mass that is believed, for a planner that supposes another one,
             as after a press that the object withstood.
+        withstood: number of presses in a row at which the object did not tilt.
         is_narrow: whether it presses on parts that are narrower than the finger, too.
         is_short: whether it presses up to SHORT_ARM near to the edge.
         avoided: places on the object at which it slid when it was pressed, body frame, m.
@@ -168,6 +170,7 @@ class TiltTestPlanner(PreGraspPlanner):
 
     weighing: TiltTestOptions = TiltTestOptions()
     mass_factor: float = 1.0
+    withstood: int = 0
     is_narrow: bool = False
     is_short: bool = False
     avoided: tuple[tuple[float, float], ...] = ()
@@ -191,7 +194,8 @@ class TiltTestPlanner(PreGraspPlanner):
                 return weighing
         decision = super()._decide(q, model, pokes, slides)
         if not may_slide:
-            decision = _say_why_weighed_no_further(decision, model.absolute.presses, slides)
+            presses = model.absolute.presses + self.withstood
+            decision = _say_why_weighed_no_further(decision, presses, slides)
         safe = decision.action == "slide" and decision.margin >= self.weighing.trusted_margin
         if not known or safe or decision.action == "grasp":
             return decision
@@ -225,6 +229,7 @@ class TiltTestPlanner(PreGraspPlanner):
         Args:
             presses: number of presses that tilted it so far.
         """
+        presses += self.withstood
         return self.weighing.first_slides + self.weighing.slides_per_press * presses
 
     def _decide_to_weigh(
@@ -373,7 +378,9 @@ class TiltTestPlanner(PreGraspPlanner):
         It is for an object that did not tilt with the greatest force, so that it is heavier, or its
         center of mass farther inside, than was supposed.
         """
-        return self._suppose(MASS_INCREASE)
+        other = self._suppose(MASS_INCREASE)
+        other.withstood += 1
+        return other
 
     def avoid(self, places: Sequence[tuple[float, float]]) -> "TiltTestPlanner":
         """Makes a planner that does not press again where the object slid.
