@@ -161,7 +161,7 @@ class TiltTestPlanner(PreGraspPlanner):
         weighing: when and how it weighs.
         mass_factor: factor on the mass that is believed, for a planner that supposes another one,
             as after a press that the object withstood.
-        withstood: number of presses in a row at which the object did not tilt.
+        no_tilt_count: number of presses in a row at which the object did not tilt.
         is_narrow: whether it presses on parts that are narrower than the finger, too.
         is_short: whether it presses up to SHORT_ARM near to the edge.
         avoided: places on the object at which it slid when it was pressed, body frame, m.
@@ -170,7 +170,7 @@ class TiltTestPlanner(PreGraspPlanner):
 
     weighing: TiltTestOptions = TiltTestOptions()
     mass_factor: float = 1.0
-    withstood: int = 0
+    no_tilt_count: int = 0
     is_narrow: bool = False
     is_short: bool = False
     avoided: tuple[tuple[float, float], ...] = ()
@@ -194,7 +194,7 @@ class TiltTestPlanner(PreGraspPlanner):
                 return weighing
         decision = super()._decide(q, model, pokes, slides)
         if not may_slide:
-            presses = model.absolute.presses + self.withstood
+            presses = model.absolute.presses + self.no_tilt_count
             decision = _say_why_weighed_no_further(decision, presses, slides)
         safe = decision.action == "slide" and decision.margin >= self.weighing.trusted_margin
         if not known or safe or decision.action == "grasp":
@@ -229,7 +229,7 @@ class TiltTestPlanner(PreGraspPlanner):
         Args:
             presses: number of presses that tilted it so far.
         """
-        presses += self.withstood
+        presses += self.no_tilt_count
         return self.weighing.first_slides + self.weighing.slides_per_press * presses
 
     def _decide_to_weigh(
@@ -379,7 +379,7 @@ class TiltTestPlanner(PreGraspPlanner):
         center of mass farther inside, than was supposed.
         """
         other = self._suppose(MASS_INCREASE)
-        other.withstood += 1
+        other.no_tilt_count += 1
         return other
 
     def avoid(self, places: Sequence[tuple[float, float]]) -> "TiltTestPlanner":
