@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import StationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.images.camera_view import CameraView
+from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.pushes.segmentation import Sample
 from gridpush_drake.pushes.stream import make_samples
 from gridpush_drake.station.control.robot_control import (
@@ -140,6 +143,10 @@ class Station(Diagram):
         """Says why the arm cannot carry out a push when it comes from its home; None if it can."""
         return plan_push(command, self._rest, self.style, self.reach, self._rest)[1]
 
+    def CanPush(self, push: Push) -> bool:
+        """Says whether the arm can carry out a push when it comes from its home."""
+        return self.FindObstacle(PushCommand.from_push(1, push)) is None
+
     def FindGraspObstacle(self, command: GraspCommand) -> str | None:
         """Says why the arm cannot carry out a grasp when it comes from its home; None if it can.
 
@@ -159,6 +166,16 @@ class Station(Diagram):
         if self._pressing is None:
             raise StationError("nothing is weighed; expected a scenario with unknown_inertia: true")
         return self._pressing.plan(command, (*self.home, 0.0))[1] or None
+
+    def CanPress(self, target: PressTarget, pose: Array) -> bool:
+        """Says whether the arm can press there, with the object at a pose (3,), m and rad.
+
+        Raises:
+            StationError: nothing is weighed.
+        """
+        x, y, theta = pose.tolist()
+        command = PressCommand.from_target(1, target, (x, y, theta))
+        return self.FindPressObstacle(command) is None
 
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
         """Makes a fresh Context ready to begin.

@@ -10,7 +10,6 @@ up: the finger presses on what hangs over the edge (`planning.weighing`).
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 from math import atan2
 from typing import Any, ClassVar
 
@@ -37,7 +36,6 @@ from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.pregrasp.weighing_planner import TiltTestOptions, TiltTestPlanner
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
 from gridpush_drake.planning.weighing.plan import PressRules
-from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.planning.weighing.sequence import SequenceOptions
 from gridpush_drake.station.control.robot_control import PRESS_FRACTION, Learning
 from gridpush_drake.station.robot.measures import GripperMeasures
@@ -57,8 +55,6 @@ from gridpush_drake.systems.base.messages import (
     GraspCommand,
     PreGraspMode,
     PreGraspStatus,
-    PressCommand,
-    PushCommand,
 )
 from gridpush_drake.systems.control.pregrasp_controller import PreGraspController
 from gridpush_drake.units import MM_PER_M
@@ -336,9 +332,11 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         return ArmLimits(
             finger_region=finger_region,
             edge_region=self._find_edge(finger_region),
-            can_push=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
+            # No methods of the task: the controller would hold the task, whose Simulator holds the
+            # controller where Python's garbage collector cannot see it.
+            can_push=station.CanPush,
             can_grasp=self._finder.can_grasp,
-            can_press=partial(_can_press, station) if station.scenario.unknown_inertia else None,
+            can_press=station.CanPress if station.scenario.unknown_inertia else None,
         )
 
     def _find_edge(self, finger_region: BaseGeometry) -> BaseGeometry:
@@ -392,15 +390,6 @@ def make_tilt_test_options(station: Station) -> TiltTestOptions:
         max_presses=scenario.weighing.max_presses,
         top=scenario.object_height,
     )
-
-
-# Not a method of the task: the controller would hold the task, whose Simulator holds the controller
-# where Python's garbage collector cannot see it, and neither would ever be freed.
-def _can_press(station: Station, target: PressTarget, pose: Array) -> bool:
-    """Says whether the arm can press there, with the object at a pose (3,)."""
-    x, y, theta = pose.tolist()
-    command = PressCommand.from_target(1, target, (x, y, theta))
-    return station.FindPressObstacle(command) is None
 
 
 def _find_gripper(robot: Robot, grasps: bool) -> GripperMeasures | None:

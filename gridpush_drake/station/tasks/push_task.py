@@ -38,7 +38,7 @@ from gridpush_drake.station.tasks.task import (
     Waiting,
 )
 from gridpush_drake.station.tasks.task_kind import FIRST_TITLE, GoalKind
-from gridpush_drake.systems.base.messages import ContactPointMode, ContactPointStatus, PushCommand
+from gridpush_drake.systems.base.messages import ContactPointMode, ContactPointStatus
 from gridpush_drake.systems.control.contact_point_controller import ContactPointController
 from gridpush_drake.units import MM_PER_M
 
@@ -211,7 +211,7 @@ def make_rules(station: Station, surface: SupportSurface) -> GoalRules:
         obstacles=station.obstacles,
         edge_margin=EDGE_MARGIN,
         finger_region=MakeFingerRegion(station),
-        push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
+        push_rule=station.CanPush,
     )
     contact = ContactOptions(
         replace(station.robot.pusher, speed=scenario.pokes.speed, clearance=clearance),

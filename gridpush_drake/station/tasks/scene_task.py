@@ -75,7 +75,6 @@ from gridpush_drake.station.tasks.task import (
     TaskStatus,
     Waiting,
 )
-from gridpush_drake.systems.base.messages import PushCommand
 from gridpush_drake.systems.control.scene_controller import SceneController
 
 GOALS_PATH = "goals"
@@ -257,7 +256,7 @@ class SceneTask(StationTask[SceneTaskRecord]):
             edge_margin=EDGE_MARGIN,
             finger_region=leave_out(reached, posts, station.robot.clear_radius),
             posts=posts,
-            push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
+            push_rule=station.CanPush,
         )
 
     def make_search(self) -> SceneSearchOptions:
