@@ -35,7 +35,8 @@ class PreGraspOptions:
         goal: how goals are sought, and what counts as safe.
         slide: how pushes of the slide are chosen.
         poke: what pokes may be chosen from.
-        min_pokes: number of pokes made in any case, unless the object can be grasped where it lies.
+        min_pokes: number of pokes made first, as long as one keeps the object on the table, unless
+            it can be grasped where it lies.
         max_pokes: number of pokes made before giving up.
         max_slides: number of slides made before giving up.
         poke_margin: how far inside the edge pokes keep every cell, m.

@@ -302,27 +302,29 @@ class PreGraspPlanner:
                 f"{here.margin * MM_PER_M:.0f} mm to spare"
             )
             return PreGraspDecision("grasp", reason, here)
-        # Poke, while too little is known, or no goal is safe enough.
+        # Poke, while too little is known. Where no poke can be made, what is known has to do: goals
+        # and slides are judged at the worst.
         if model.posterior is not None and pokes < options.min_pokes:
-            return self._poke(q, model, None, pokes, "too little is known of the object yet")
+            poke = self._poke(q, model, None, pokes, "too little is known of the object yet")
+            if poke.push is not None:
+                return poke
         goals = self._find_goals(q, model, parts)
         if not goals:
             return self._poke_or_give_up(q, model, parts, pokes)
+        best = goals[0]
         asked = options.goal.margin * (ACCEPTED_FRACTION if slides else 1.0)
-        if goals[0].margin < asked:
+        if best.margin < asked:
             why = (
-                f"the safest goal has a stability margin of {goals[0].margin * MM_PER_M:.0f} mm "
-                "at the "
+                f"the safest goal has a stability margin of {best.margin * MM_PER_M:.0f} mm at the "
                 f"worst; {asked * MM_PER_M:.0f} mm are asked for"
             )
-            return self._poke(q, model, goals[0], pokes, why)
-        # Slide towards the goals.
+            return self._poke(q, model, best, pokes, why)
         if slides >= options.max_slides:
-            return PreGraspDecision("fail", f"not at the edge after {slides} slides", goals[0])
+            return PreGraspDecision("fail", f"not at the edge after {slides} slides", best)
         sliding = self._slide(q, model, goals, "a goal")
         if sliding is None:
             why = "no push towards a goal is safe all the way"
-            return self._poke(q, model, goals[0], pokes, why)
+            return self._poke(q, model, best, pokes, why)
         return sliding
 
     def _slide(

@@ -83,7 +83,7 @@ def plan_pregrasp(planner: PreGraspPlanner, model: Belief, pose: ArrayLike) -> P
     """
     poses = [check_vector(PlanningError, "pose", pose, 3)]
     pushes: list[Push] = []
-    # The pokes that are made in any case count as made: what they would tell is not known here.
+    # The pokes that are made first count as made: what they would tell is not known here.
     pokes = planner.options.min_pokes
     while True:
         decision = planner.decide(poses[-1], model, pokes, len(pushes))

@@ -5,7 +5,7 @@ light, rough part and a heavy, smooth one look the same. `PreGraspPlanner` then 
 hardly safe, and goes from one to the other, or gives up. This one first slides the object to where
 a part hangs over the edge that can be pressed safely, by all that is known, and weighs it there:
 
-    pokes      as many as that planner makes in any case
+    pokes      as many as that planner makes first
     weigh      until mass and center are roughly known; of all presses that are safe, the one that
                tells soonest, with the slides to it
     slide      to a goal, as that planner does, or weigh on where the goal has little margin

@@ -150,7 +150,8 @@ class PreGraspConfig(Config):
     Attributes:
         margin: least distance that the center of mass must have from where the object would tip,
             wherever it may be by what was learned, m.
-        min_pokes: number of pokes that are made in any case before the object is slid.
+        min_pokes: number of pokes made before the object is slid, as long as one keeps it on the
+            table.
         max_pokes: number of pokes after which the robot gives up.
         max_slides: number of slides after which the robot gives up.
         max_arm: greatest distance of the grasp from the estimated center of mass, m.

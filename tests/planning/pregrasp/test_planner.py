@@ -331,6 +331,24 @@ def test_what_no_poke_can_tell_is_not_poked_for(pan, parts):
     assert "closer friction bounds" in decision.reason
 
 
+def test_where_no_poke_can_be_made_what_is_known_has_to_do(pan, parts, heavy_plate):
+    """As of an object that was weighed, surprised, and lies where pokes might push it off."""
+    nowhere = PreGraspOptions(poke_margin=1.0)
+    planner = PreGraspPlanner(pan, TABLE, nowhere, parts)
+    prior = Belief.of_prior(pan).posterior
+    logs = np.log(np.append(heavy_plate.relative_friction(), heavy_plate.contact_friction))
+    sure = Posterior(logs, 1e-8 * prior.covariance, prior.prior_covariance)
+    bodies = Belief.of_parameters(Model(pan, heavy_plate)).bodies
+    known = Belief(bodies, posterior=sure, friction_range=(0.34, 0.36))
+    at = (0.1, 0.0, 0.0)
+    assert PreGraspPlanner(pan, TABLE, parts=parts).decide(at, known).action == "poke"
+    assert planner.propose_poke(known, at).push is None
+    assert planner.decide(at, known).action == "slide"
+    ends = planner.decide(at, Belief(bodies, posterior=sure, friction_range=(0.001, 1.0)))
+    assert ends.action == "fail"
+    assert "no poke keeps the object on the table" in ends.reason
+
+
 def test_where_no_pose_can_be_grasped_at_pokes_are_not_wasted(pan, parts):
     clumsy = ArmLimits(can_grasp=lambda goal, masses: False)
     planner = PreGraspPlanner(pan, TABLE, PreGraspOptions(max_arm=0.1), parts, clumsy)
